@@ -7,10 +7,7 @@
 namespace cabinpose {
 
 void bind_body(nb::module_& m) {
-  describe<RestArrays>(m);
-  describe<Neighbours>(m);
-  describe<Blend>(m);
-  describe<Trains>(m);
+  describe<RestArrays, Neighbours, Blend, Trains>(m);
   m.def("bone_frames", &bone_frames, "q"_a, "rest"_a, "vehicle_from_root"_a, "rotation"_a, "position"_a, unlocked(),
         "Frames of the main bones.");
   m.def("joint_positions", &joint_positions, "rest"_a, "rotation"_a, "position"_a, "out"_a, unlocked(), "The 20 joints, m.");

@@ -4,8 +4,7 @@
 namespace cabinpose {
 
 void bind_cabin(nb::module_& m) {
-  describe<TrunkBones>(m);
-  describe<Webbing>(m);
+  describe<TrunkBones, Webbing>(m);
   m.def("any_nearer", &any_nearer, "points"_a, "place"_a, "distance"_a, unlocked(),
         "Whether any point is nearer to a place than a distance.");
   m.def("belt_ribbon", &belt_ribbon, "skin"_a, "faces"_a, "bones"_a, "course"_a, "webbing"_a, nb::kw_only(), "vertices"_a,

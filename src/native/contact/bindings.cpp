@@ -62,12 +62,7 @@ void bind_depth(nb::module_& m) {
 }  // namespace
 
 void bind_contact(nb::module_& m) {
-  describe<SearchGrid>(m);
-  describe<Mesh>(m);
-  describe<FieldGrid>(m);
-  describe<Yielding>(m);
-  describe<Felt>(m);
-  describe<Solids>(m);
+  describe<SearchGrid, Mesh, FieldGrid, Yielding, Felt, Solids>(m);
   bind_triangles(m);
   bind_grid(m);
   bind_depth(m);

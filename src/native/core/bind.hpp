@@ -75,10 +75,15 @@ const std::array<PyObject*, field_count<T>>& field_names() {
 
 /// Tells tools/make_stubs.py of a struct: as a function that does nothing, whose parameters are the fields.
 template <Named T>
-void describe(nb::module_& m) {
+void describe_one(nb::module_& m) {
   [&]<std::size_t... I, class... Fields>(std::index_sequence<I...>, std::tuple<Fields&...>*) {
     m.def(T::struct_name, [](const Fields&...) {}, nb::arg(PyUnicode_AsUTF8AndSize(field_names<T>()[I], nullptr))...);
   }(std::make_index_sequence<field_count<T>>{}, static_cast<decltype(std::declval<T&>().fields())*>(nullptr));
+}
+
+template <Named... T>
+void describe(nb::module_& m) {
+  (describe_one<T>(m), ...);
 }
 
 template <class T>

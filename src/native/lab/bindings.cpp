@@ -5,8 +5,7 @@
 namespace cabinpose {
 
 void bind_lab(nb::module_& m) {
-  describe<PixelRays>(m);
-  describe<SceneArrays>(m);
+  describe<PixelRays, SceneArrays>(m);
   m.def("faces_between", &faces_between, nb::kw_only(), "eyes"_a, "points"_a, "vertices"_a, "faces"_a, "possible"_a, unlocked(),
         "Faces that may come between eyes and points.");
   m.def("see_markers", &see_markers, nb::kw_only(), "eyes"_a, "markers"_a, "vertices"_a, "faces"_a, "ends"_a, "seen"_a,

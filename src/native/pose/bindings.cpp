@@ -6,11 +6,7 @@
 namespace cabinpose {
 
 void bind_pose(nb::module_& m) {
-  describe<SampleArrays>(m);
-  describe<GoalArrays>(m);
-  describe<Mover>(m);
-  describe<PlacedGrid>(m);
-  describe<PairArrays>(m);
+  describe<SampleArrays, GoalArrays, Mover, PlacedGrid, PairArrays>(m);
   m.def("solve_people", &solve_people, "people"_a, "car"_a, "pairs"_a, nb::kw_only(), "between"_a, "free"_a, "missed"_a,
         unlocked(),
         "Poses of people in a car; what is left of each: its kind, a solid, the other solid or group, and the excess.");

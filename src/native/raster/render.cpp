@@ -32,7 +32,8 @@ T* room(std::vector<T>& memory, Index count) {
 }  // namespace
 
 Index render(const Surface& surface, Array<const double, 4, 4> camera_from_vehicle, bool closed, const Eye& eye,
-             const Joints& joints, const Images& images, const Buffers& buffers, Array<std::uint8_t, any, joint_count> states) {
+             const Joints& joints, const Rendered& frame) {
+  const Buffers& buffers = frame.buffers;
   thread_local Workspace memory;
   const Grid grid(eye.width, eye.height);
   const Pose pose(camera_from_vehicle);
@@ -48,13 +49,13 @@ Index render(const Surface& surface, Array<const double, 4, 4> camera_from_vehic
   BlockHits* hits = room(memory.hits, blocks);
   const View view{surface, corners, pose, lens, eye.looks, closed, eye.width, eye.height, reach};
   rasterise(view, grid, rays, hits, memory.triangles, joint_rays, memory.drawing);
-  memory.joints.decide(surface, states);
+  memory.joints.decide(surface, frame.visibility);
 
   memory.appearances.start(memory.triangles);
   memory.appearances.make(hits, blocks, memory.triangles, surface);
-  const Samples centre{buffers.depth.data(), buffers.cosine.data(), buffers.material.data()};
+  const Samples centre{buffers.depth_m.data(), buffers.cos_incidence.data(), buffers.material.data()};
   shade_pixels(grid, rays, hits, memory.appearances.data(), pose, centre,
-               {images.depth.data(), images.label.data(), images.instance.data(), images.face.data()});
+               {frame.depth_clean.data(), frame.labels.data(), frame.instance.data(), frame.face_id.data()});
 
   std::int32_t* before =
       room(memory.before, static_cast<Index>((eye.height + strip_rows - 1) / strip_rows + spare_strips) * eye.width);
@@ -69,7 +70,7 @@ Index render(const Surface& surface, Array<const double, 4, 4> camera_from_vehic
   hits = room(memory.hits, part_blocks);
   refine(view, memory.triangles, before, part_blocks, part_rays, hits, memory.drawing);
   memory.appearances.make(hits, part_blocks, memory.triangles, surface);
-  const Samples parts{buffers.parts_depth.data(), buffers.parts_cosine.data(), buffers.parts_material.data()};
+  const Samples parts{buffers.parts_depth_m.data(), buffers.parts_cos_incidence.data(), buffers.parts_material.data()};
   shade_samples(samples, part_rays, hits, memory.appearances.data(), pose, parts);
 
   // Pixels whose centre shows what is looked through take what the part there sees.

@@ -22,31 +22,34 @@ struct Eye {
   CABINPOSE_FIELDS(Eye, width, height, supersample, lens, rays, part_rays, looks, which)
 };
 
-/// Images (H, W) of the pixels' centres: depth (m), label, instance, face; 0, and -1 for the face, where nothing is seen.
-struct Images {
-  Array<float, any, any> depth;
-  Array<std::uint8_t, any, any> label, instance;
-  Array<std::int32_t, any, any> face;
-
-  CABINPOSE_FIELDS(Images, depth, label, instance, face)
-};
-
-/// What the sensor model reads: depth, cosine of incidence and material of the pixels (H, W); flat indices of the mixed pixels,
-/// at least H * W + 1; the same three of their parts, H * W * s * s.
+/// What the sensor model reads, Python's `GeometryBuffers`: depth, cosine of incidence and material of the pixels (H, W); room
+/// for flat indices of all pixels and one more, of those that are mixed, and for the same three of their parts.
 struct Buffers {
-  Array<float, any, any> depth, cosine;
+  Array<float, any, any> depth_m, cos_incidence;
   Array<std::uint8_t, any, any> material;
   Array<std::int32_t, any> mixed;
-  Array<float, any> parts_depth, parts_cosine;
-  Array<std::uint8_t, any> parts_material;
+  Array<float, any, any> parts_depth_m, parts_cos_incidence;
+  Array<std::uint8_t, any, any> parts_material;
 
-  CABINPOSE_FIELDS(Buffers, depth, cosine, material, mixed, parts_depth, parts_cosine, parts_material)
+  CABINPOSE_FIELDS(Buffers, depth_m, cos_incidence, material, mixed, parts_depth_m, parts_cos_incidence, parts_material)
 };
 
-/// Render a surface: fill the images, the buffers and the states (P, 20) of the joints; returns how many pixels are mixed.
+/// Python's `RenderedFrame`: images (H, W) of the pixels' centres (depth in m, label, instance, face; 0, and -1 for the face,
+/// where nothing is seen), buffers, and states (P, 20) of the joints.
+struct Rendered {
+  Array<float, any, any> depth_clean;
+  Array<std::uint8_t, any, any> labels, instance;
+  Array<std::int32_t, any, any> face_id;
+  Buffers buffers;
+  Array<std::uint8_t, any, joint_count> visibility;
+
+  CABINPOSE_FIELDS(Rendered, depth_clean, labels, instance, face_id, buffers, visibility)
+};
+
+/// Render a surface: fill a frame; returns how many pixels are mixed.
 ///
 /// closed: all its parts are closed and the camera is in none of them, so that faces turned away are never seen.
 Index render(const Surface& surface, Array<const double, 4, 4> camera_from_vehicle, bool closed, const Eye& eye,
-             const Joints& joints, const Images& images, const Buffers& buffers, Array<std::uint8_t, any, joint_count> states);
+             const Joints& joints, const Rendered& frame);
 
 }  // namespace cabinpose

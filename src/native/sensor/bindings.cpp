@@ -10,8 +10,7 @@ void bind_indirect_light(nb::module_& m);
 void bind_structured_light(nb::module_& m);
 
 void bind_sensor(nb::module_& m) {
-  describe<View>(m);
-  describe<Delivered>(m);
+  describe<View, SurfaceOptics, Delivered>(m);
   bind_continuous_wave(m);
   bind_indirect_light(m);
   bind_empirical(m);

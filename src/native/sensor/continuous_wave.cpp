@@ -364,9 +364,7 @@ void simulate_continuous_wave(const std::vector<View>& views, Array<const double
 }  // namespace
 
 void bind_continuous_wave(nb::module_& m) {
-  describe<PhysicalEffects>(m);
-  describe<Electronics>(m);
-  describe<ContinuousWave>(m);
+  describe<PhysicalEffects, Electronics, ContinuousWave>(m);
   m.def("simulate_continuous_wave", &simulate_continuous_wave, "views"_a, "shares"_a, "camera"_a, "sensor"_a, "effects"_a,
         "ranks"_a, "quantiles"_a, "out"_a, unlocked(), "One frame of a continuous-wave Time-of-Flight camera.");
 }

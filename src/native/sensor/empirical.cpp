@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "core/bind.hpp"
@@ -14,21 +15,17 @@ struct EmpiricalEffects {
   double a_mm, b_mm_per_m, c_mm_per_m2;  // sigma = a + b z + c z^2
   double edge_sigma_mm, edge_threshold_m;
   int edge_width_px;
-  bool remove_spikes, glass;
+  bool remove_spikes, glass, range_window, circular_field;
 
   CABINPOSE_FIELDS(EmpiricalEffects, a_mm, b_mm_per_m, c_mm_per_m2, edge_sigma_mm, edge_threshold_m, edge_width_px, remove_spikes,
-                   glass)
+                   glass, range_window, circular_field)
 };
 
-/// A camera; images (H, W). `_Empirical` in scene/sensor/empirical.py.
-struct Empirical {
-  Array<const float, any, any> range_over_depth;
-  Array<const float, any, any> amplitude_scale;  // electrons of a white surface that faces the camera at 1 m, 0 outside the field
-  Array<const bool, any, any> field;             // where depth is delivered
-  Array<const float, 256, 3> table;              // by material: diffuse reflectance, specular peak of panes, (unused)
-  double near, far;                              // m along the axis
+/// How far a camera sees: `Sensor` in scene/sensor/presets.py.
+struct Reach {
+  std::pair<double, double> range_m;
 
-  CABINPOSE_FIELDS(Empirical, range_over_depth, amplitude_scale, field, table, near, far)
+  CABINPOSE_FIELDS(Reach, range_m)
 };
 
 namespace {
@@ -101,7 +98,7 @@ void remove_spikes(const float* noisy, const float* depth, double threshold, Ind
 
 /// One frame. ranks: (H, 4 ceil(W / 4)) random 16-bit numbers, of which a row uses the first W; they rank the standard normal
 /// numbers `quantiles`. Source of the equations: Gonçalves (thesis, 2020).
-void simulate_empirical(const View& view, const Empirical& camera, const EmpiricalEffects& effects,
+void simulate_empirical(const View& view, const SurfaceOptics& optics, const Reach& sensor, const EmpiricalEffects& effects,
                         Array<const std::uint16_t, any, any> ranks, Array<const float, 65536> quantiles, const Delivered& out) {
   const Index height = view.depth_m.size(0), width = view.depth_m.size(1), n = height * width;
   thread_local std::vector<float> memory;
@@ -109,7 +106,7 @@ void simulate_empirical(const View& view, const Empirical& camera, const Empiric
   float *depth = memory.data(), *noisy = depth + n, *sigma = noisy + n, *normals = sigma + n;
   depth_of_one_surface(view, depth);
   const std::uint8_t* material = view.material.data();
-  const float* table = camera.table.data();
+  const float* table = optics.table.data();
   if (effects.glass) {
     for (Index i = 0; i < n; ++i) depth[i] = table[3 * material[i] + 1] > 0.0f ? 0.0f : depth[i];
   }
@@ -118,7 +115,8 @@ void simulate_empirical(const View& view, const Empirical& camera, const Empiric
     for (Index u = 0; u < width; ++u) normals[u] = quantiles(rank[u]);
     perturb(depth, normals, effects, v, height, width, noisy, sigma);
   }
-  const float near = static_cast<float>(camera.near), far = static_cast<float>(camera.far);
+  const float near = effects.range_window ? static_cast<float>(sensor.range_m.first) : 0.0f;
+  const float far = effects.range_window ? static_cast<float>(sensor.range_m.second) : infinity;
   for (Index v = 0; v < height; ++v) {
     float* result = out.depth_m[v].data();
     if (effects.remove_spikes) {
@@ -126,20 +124,23 @@ void simulate_empirical(const View& view, const Empirical& camera, const Empiric
     } else {
       std::copy_n(noisy + v * width, width, result);
     }
-    const bool* field = camera.field[v].data();
-    for (Index u = 0; u < width; ++u) result[u] = field[u] & !(result[u] < near) & !(result[u] > far) ? result[u] : nan;
+    const bool* field = optics.field[v].data();
+    const float* ray = optics.range_over_depth[v].data();
+    for (Index u = 0; u < width; ++u) {
+      const bool inside = field[u] | (!effects.circular_field & std::isfinite(ray[u]));
+      result[u] = inside & !(result[u] < near) & !(result[u] > far) ? result[u] : nan;
+    }
   }
-  geometric_amplitude(depth, view, camera.range_over_depth.data(), camera.amplitude_scale.data(), table, out.amplitude.data());
+  geometric_amplitude(depth, view, optics, out.amplitude.data());
   deliver_sigma(sigma, out);
 }
 
 }  // namespace
 
 void bind_empirical(nb::module_& m) {
-  describe<EmpiricalEffects>(m);
-  describe<Empirical>(m);
-  m.def("simulate_empirical", &simulate_empirical, "view"_a, "camera"_a, "effects"_a, "ranks"_a, "quantiles"_a, "out"_a,
-        unlocked(), "One frame of a camera with measured noise.");
+  describe<EmpiricalEffects, Reach>(m);
+  m.def("simulate_empirical", &simulate_empirical, "view"_a, "optics"_a, "sensor"_a, "effects"_a, "ranks"_a, "quantiles"_a,
+        "out"_a, unlocked(), "One frame of a camera with measured noise.");
 }
 
 }  // namespace cabinpose

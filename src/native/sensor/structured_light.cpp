@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "core/bind.hpp"
@@ -18,28 +19,26 @@ struct StructuredLightEffects {
   double disparity_step_px, min_return;
   bool shadow;
   int fill_px;
+  bool range_window;
 
-  CABINPOSE_FIELDS(StructuredLightEffects, axial, lateral_px, quantise, disparity_step_px, min_return, shadow, fill_px)
+  CABINPOSE_FIELDS(StructuredLightEffects, axial, lateral_px, quantise, disparity_step_px, min_return, shadow, fill_px,
+                   range_window)
+};
+
+/// The focal length of the image: `Camera` in core/camera.py.
+struct Focal {
+  double fx;  // px
+
+  CABINPOSE_FIELDS(Focal, fx)
 };
 
 /// The matcher: `Sensor` in scene/sensor/presets.py.
 struct Matcher {
+  Focal camera;
   double baseline_m, native_scale;
+  std::pair<double, double> range_m;
 
-  CABINPOSE_FIELDS(Matcher, baseline_m, native_scale)
-};
-
-/// A camera; images (H, W). `_StructuredLight` in scene/sensor/structured_light.py.
-struct StructuredLight {
-  Array<const float, any, any> range_over_depth;
-  Array<const float, any, any> amplitude_scale;  // electrons of a white surface that faces the camera at 1 m, 0 outside the field
-  Array<const float, 256, 3> table;              // by material: diffuse reflectance, (unused), (unused)
-  int supersample;                               // parts of a pixel along a side
-  double focal_px;                               // focal length of the image
-  double grazing_cosine;                         // of incidence, below which the pattern is not matched
-  double near, far;                              // m along the axis
-
-  CABINPOSE_FIELDS(StructuredLight, range_over_depth, amplitude_scale, table, supersample, focal_px, grazing_cosine, near, far)
+  CABINPOSE_FIELDS(Matcher, camera, baseline_m, native_scale, range_m)
 };
 
 namespace {
@@ -64,14 +63,14 @@ struct Seen {
   std::vector<float> reflectance;
 };
 
-/// Row v: each pixel sees the surface a random step (sigma `lateral`, px) beside its centre.
+/// Row v: each pixel sees the surface a random step (sigma `lateral`, px) beside its centre. table: by material.
 ///
 /// slots: (H * W) where in `mixed` each pixel is, or -1. A pixel without parts is a smooth surface, continued along its slope.
-void look_beside(const View& view, const StructuredLight& camera, double lateral, const std::uint16_t* ranks,
+void look_beside(const View& view, Array<const float, 256, 3> table, double lateral, const std::uint16_t* ranks,
                  const float* quantiles, const std::int32_t* slots, Index v, Seen& out) {
-  const Index height = view.depth_m.size(0), width = view.depth_m.size(1), s = camera.supersample;
+  const Index height = view.depth_m.size(0), width = view.depth_m.size(1), s = view.supersample;
   const double side = static_cast<double>(s);
-  const std::int32_t divisor = camera.supersample;
+  const std::int32_t divisor = view.supersample;
   const float* depth = view.depth_m.data();
   for (Index u = 0; u < width; ++u) {
     const double du = lateral * static_cast<double>(quantiles[ranks[4 * u]]);
@@ -85,7 +84,7 @@ void look_beside(const View& view, const StructuredLight& camera, double lateral
       const Index part = slot * s * s + (y - row * s) * s + x - column * s;
       out.depth[u] = static_cast<double>(view.parts_depth_m.data()[part]);
       out.cosine[u] = static_cast<double>(view.parts_cos_incidence.data()[part]);
-      out.reflectance[u] = camera.table(view.parts_material.data()[part], 0);
+      out.reflectance[u] = table(view.parts_material.data()[part], 0);
       continue;
     }
     const double beside = (static_cast<double>(x) + 0.5) / side - 0.5 - static_cast<double>(column);
@@ -95,19 +94,19 @@ void look_beside(const View& view, const StructuredLight& camera, double lateral
     z += slope(depth + column, width, height, row) * below;
     out.depth[u] = z;
     out.cosine[u] = static_cast<double>(view.cos_incidence.data()[pixel]);
-    out.reflectance[u] = camera.table(view.material.data()[pixel], 0);
+    out.reflectance[u] = table(view.material.data()[pixel], 0);
   }
 }
 
 /// Depth of a row of pixels, each from its own disparity, and its sigma; NaN and infinite where no dot is matched.
 ///
-/// focal_baseline: of the matcher (px m).
-void match(const Seen& seen, const StructuredLight& camera, const StructuredLightEffects& effects, double focal_baseline,
+/// focal_baseline: of the matcher (px m) · grazing_cosine: of incidence, below which the pattern is not matched.
+void match(const Seen& seen, const StructuredLightEffects& effects, double focal_baseline, double grazing_cosine,
            const std::uint16_t* ranks, const float* quantiles, Index width, float* __restrict out, float* __restrict sigma_out) {
   const double* __restrict depth = seen.depth.data();
   const double* __restrict cosine = seen.cosine.data();
   const float* __restrict reflectance = seen.reflectance.data();
-  const double grazing_cosine = camera.grazing_cosine, min_return = effects.min_return;
+  const double min_return = effects.min_return;
   const double axial = effects.axial ? 1.0 : 0.0, step = effects.quantise ? effects.disparity_step_px : 0.0;
   for (Index u = 0; u < width; ++u) {
     double z = depth[u];
@@ -154,9 +153,9 @@ void fill_holes(float* depth, Index width, Index widest) {
 }
 
 /// One frame. ranks: (H, 4 W) random 16-bit numbers, which rank the standard normal numbers `quantiles`.
-void simulate_structured_light(const View& view, const StructuredLight& camera, const Matcher& sensor,
+void simulate_structured_light(const View& view, const SurfaceOptics& optics, const Matcher& sensor,
                                const StructuredLightEffects& effects, Array<const std::uint16_t, any, any> ranks,
-                               Array<const float, 65536> quantiles, const Delivered& out) {
+                               Array<const float, 65536> quantiles, const Delivered& out, double grazing_cosine) {
   const Index height = view.depth_m.size(0), width = view.depth_m.size(1), n = height * width;
   thread_local std::vector<float> memory;
   thread_local std::vector<std::int32_t> slots;
@@ -169,30 +168,28 @@ void simulate_structured_light(const View& view, const StructuredLight& camera, 
   float *clean = memory.data(), *sigma = clean + n;
   for (Index k = 0; k < view.mixed.size(); ++k) slots[static_cast<std::size_t>(view.mixed(k))] = static_cast<std::int32_t>(k);
   depth_of_one_surface(view, clean);
-  const float near = static_cast<float>(camera.near), far = static_cast<float>(camera.far);
+  const float near = effects.range_window ? static_cast<float>(sensor.range_m.first) : -infinity;
+  const float far = effects.range_window ? static_cast<float>(sensor.range_m.second) : infinity;
   const double lateral = effects.lateral_px / sensor.native_scale;
-  const double focal_baseline = camera.focal_px * sensor.native_scale * sensor.baseline_m;
+  const double focal_baseline = sensor.camera.fx * sensor.native_scale * sensor.baseline_m;
   for (Index v = 0; v < height; ++v) {
     float* depth = out.depth_m[v].data();
-    look_beside(view, camera, lateral, ranks[v].data(), quantiles.data(), slots.data(), v, seen);
-    match(seen, camera, effects, focal_baseline, ranks[v].data(), quantiles.data(), width, depth, sigma + v * width);
-    if (effects.shadow) cast_shadow(clean + v * width, width, camera.focal_px * sensor.baseline_m, depth);
+    look_beside(view, optics.table, lateral, ranks[v].data(), quantiles.data(), slots.data(), v, seen);
+    match(seen, effects, focal_baseline, grazing_cosine, ranks[v].data(), quantiles.data(), width, depth, sigma + v * width);
+    if (effects.shadow) cast_shadow(clean + v * width, width, sensor.camera.fx * sensor.baseline_m, depth);
     if (effects.fill_px > 0) fill_holes(depth, width, effects.fill_px);
     for (Index u = 0; u < width; ++u) depth[u] = (depth[u] < near) | (depth[u] > far) ? nan : depth[u];
   }
-  geometric_amplitude(clean, view, camera.range_over_depth.data(), camera.amplitude_scale.data(), camera.table.data(),
-                      out.amplitude.data());
+  geometric_amplitude(clean, view, optics, out.amplitude.data());
   deliver_sigma(sigma, out);
 }
 
 }  // namespace
 
 void bind_structured_light(nb::module_& m) {
-  describe<StructuredLightEffects>(m);
-  describe<Matcher>(m);
-  describe<StructuredLight>(m);
-  m.def("simulate_structured_light", &simulate_structured_light, "view"_a, "camera"_a, "sensor"_a, "effects"_a, "ranks"_a,
-        "quantiles"_a, "out"_a, unlocked(), "One frame of a camera that matches a projected dot pattern.");
+  describe<StructuredLightEffects, Focal, Matcher>(m);
+  m.def("simulate_structured_light", &simulate_structured_light, "view"_a, "optics"_a, "sensor"_a, "effects"_a, "ranks"_a,
+        "quantiles"_a, "out"_a, "grazing_cosine"_a, unlocked(), "One frame of a camera that matches a projected dot pattern.");
 }
 
 }  // namespace cabinpose

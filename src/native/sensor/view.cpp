@@ -23,8 +23,9 @@ void depth_of_one_surface(const View& view, float* out) {
   }
 }
 
-void geometric_amplitude(const float* depth, const View& view, const float* range_over_depth, const float* scale,
-                         const float* table, std::uint16_t* __restrict out) {
+void geometric_amplitude(const float* depth, const View& view, const SurfaceOptics& optics, std::uint16_t* __restrict out) {
+  const float *range_over_depth = optics.range_over_depth.data(), *scale = optics.amplitude_scale.data();
+  const float* table = optics.table.data();
   const float* cosine = view.cos_incidence.data();
   const std::uint8_t* material = view.material.data();
   for (Index i = 0; i < view.depth_m.count(); ++i) {

@@ -11,13 +11,24 @@ namespace cabinpose {
 /// Python's `GeometryBuffers`: geometry (H, W) at the pixels' centres, and at the n parts of the pixels `mixed` (M,), flat
 /// indices in any order. Depths in m along the axis, 0 where nothing was hit.
 struct View {
+  int supersample;  // parts of a pixel along a side
   Array<const float, any, any> depth_m, cos_incidence;
   Array<const std::uint8_t, any, any> material;
   Array<const std::int32_t, any> mixed;
   Array<const float, any, any> parts_depth_m, parts_cos_incidence;
   Array<const std::uint8_t, any, any> parts_material;
 
-  CABINPOSE_FIELDS(View, depth_m, cos_incidence, material, mixed, parts_depth_m, parts_cos_incidence, parts_material)
+  CABINPOSE_FIELDS(View, supersample, depth_m, cos_incidence, material, mixed, parts_depth_m, parts_cos_incidence, parts_material)
+};
+
+/// Lens and light of a camera whose noise model sees one surface a pixel, images (H, W): Python's `SurfaceOptics`.
+struct SurfaceOptics {
+  Array<const float, any, any> range_over_depth;
+  Array<const float, any, any> amplitude_scale;  // electrons of a white surface that faces the camera at 1 m, 0 outside the field
+  Array<const bool, any, any> field;             // inside the image circle
+  Array<const float, 256, 3> table;              // by material: diffuse reflectance, specular peak of panes, (unused)
+
+  CABINPOSE_FIELDS(SurfaceOptics, range_over_depth, amplitude_scale, field, table)
 };
 
 /// What a camera delivers, each (H, W): Python's `SensorFrame`.
@@ -58,10 +69,8 @@ void depth_of_one_surface(const View& view, float* out);
 
 /// Amplitude (H * W) without noise (electrons) of one surface a pixel.
 ///
-/// depth, range_over_depth, scale: (H * W); `scale` is the amplitude of a white surface that faces the camera at 1 m, 0 outside
-/// the field. table: (256, 3), the diffuse reflectance first.
-void geometric_amplitude(const float* depth, const View& view, const float* range_over_depth, const float* scale,
-                         const float* table, std::uint16_t* out);
+/// depth: (H * W).
+void geometric_amplitude(const float* depth, const View& view, const SurfaceOptics& optics, std::uint16_t* out);
 
 /// Confidence, 0 where the depth is not finite, and noise of depths that have a sigma (m).
 void deliver_sigma(const float* sigma, const Delivered& out);

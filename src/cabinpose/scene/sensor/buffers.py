@@ -84,6 +84,17 @@ class GeometryBuffers:
             mixed, depth[: len(mixed)], cosine[: len(mixed)], materials[: len(mixed)],
         )  # fmt: skip
 
+    @classmethod
+    def room(cls, supersample: int, pixels: tuple[int, int]) -> GeometryBuffers:
+        """Memory for any view of H x W pixels, as a renderer fills it: it writes one mixed pixel more than there can be."""
+        count = pixels[0] * pixels[1] + 1
+        shapes = pixels, pixels, pixels, count, *[(count, supersample**2)] * 3
+        return cls(supersample, *(np.empty(shape, dtype) for shape, dtype in zip(shapes, _DTYPES, strict=True)))
+
+    def first(self, number: int) -> GeometryBuffers:
+        """The same with only so many mixed pixels."""
+        return GeometryBuffers(self.supersample, *self.arrays[:3], *(array[:number] for array in self.arrays[3:]))
+
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W): the image in pixels."""

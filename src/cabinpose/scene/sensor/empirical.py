@@ -9,19 +9,17 @@ go that stand before or behind all of their neighbours (`remove_spikes`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
 from pydantic import Field
 
 from cabinpose._native import sensor as native
-from cabinpose.core import Bools, Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.noise import EdgeRule
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
-from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
+from cabinpose.scene.sensor.optics import surface_optics
 from cabinpose.scene.sensor.presets import Sensor
 
 
@@ -54,31 +52,5 @@ class EmpiricalNoise(EdgeRule):
         height, width = buffers.shape
         frame = SensorFrame.empty(buffers.shape)
         ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)
-        native.simulate_empirical(buffers, _empirical(sensor, self), self, ranks, normal_quantiles(), frame)
+        native.simulate_empirical(buffers, surface_optics(sensor), sensor, self, ranks, normal_quantiles(), frame)
         return frame
-
-
-class _Empirical(NamedTuple):
-    """Lens and light of a sensor, as the kernel takes them beside the effects: sensor/empirical.cpp."""
-
-    range_over_depth: Floats32
-    amplitude_scale: Floats32
-    field: Bools
-    table: Floats32
-    near: float
-    far: float
-
-
-@lru_cache(maxsize=8)
-def _empirical(sensor: Sensor, noise: EmpiricalNoise) -> _Empirical:
-    """What frames have in common."""
-    maps = lens_maps(sensor, 1)
-    near, far = sensor.range_m if noise.range_window else (0.0, np.inf)
-    return _Empirical(
-        range_over_depth=maps.range_over_depth,
-        amplitude_scale=amplitude_scale(sensor),
-        field=maps.field if noise.circular_field else np.isfinite(maps.range_over_depth),
-        table=material_table(True, True, 0.0, 0.0),
-        near=near,
-        far=far,
-    )

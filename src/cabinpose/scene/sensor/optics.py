@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -80,9 +81,23 @@ def lens_maps(sensor: Sensor, supersample: int) -> LensMaps:
     )
 
 
+class SurfaceOptics(NamedTuple):
+    """What frames of noise models that see one surface a pixel have in common, (H, W) each.
+
+    range_over_depth, field: of `LensMaps` · amplitude_scale: amplitude (electrons) of a white surface that faces the camera at 1
+    m, 0 outside the field · table: `material_table`.
+    """
+
+    range_over_depth: Floats32
+    amplitude_scale: Floats32
+    field: Bools
+    table: Floats32
+
+
 @lru_cache(maxsize=8)
-def amplitude_scale(sensor: Sensor) -> Floats32:
-    """(H, W): amplitude (electrons) of a white surface that faces the camera at 1 m; 0 outside the field."""
+def surface_optics(sensor: Sensor) -> SurfaceOptics:
+    """Those of a sensor."""
     maps = lens_maps(sensor, 1)
     scale = np.float32(sensor.signal_e * sensor.contrast) * maps.vignetting * maps.illumination
-    return np.where(maps.field, scale, np.float32(0.0))
+    scale = np.where(maps.field, scale, np.float32(0.0))
+    return SurfaceOptics(maps.range_over_depth, scale, maps.field, material_table(True, True, 0.0, 0.0))

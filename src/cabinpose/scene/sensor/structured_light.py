@@ -8,19 +8,17 @@ Sensors 12(2), 2012 (baseline 75 mm, disparity in eighths of a pixel). Shadows f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
 from pydantic import Field
 
 from cabinpose._native import sensor as native
-from cabinpose.core import Floats32
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.noise import CameraNoise
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
-from cabinpose.scene.sensor.optics import amplitude_scale, lens_maps, material_table
+from cabinpose.scene.sensor.optics import surface_optics
 from cabinpose.scene.sensor.presets import Sensor
 
 
@@ -56,35 +54,6 @@ class StructuredLightNoise(CameraNoise):
     ) -> SensorFrame:
         """The amplitude is that of the geometry, without noise."""
         frame, ranks = SensorFrame.empty(buffers.shape), random_words(buffers.shape, rng=rng).view(np.uint16)
-        camera = _structured_light(sensor, self, buffers.supersample)
-        native.simulate_structured_light(buffers, camera, sensor, self, ranks, normal_quantiles(), frame)
+        optics, grazing = surface_optics(sensor), float(np.cos(np.radians(self.grazing_deg)))
+        native.simulate_structured_light(buffers, optics, sensor, self, ranks, normal_quantiles(), frame, grazing_cosine=grazing)
         return frame
-
-
-class _StructuredLight(NamedTuple):
-    """Lens and light of a sensor, as the kernel takes them beside the sensor and the effects: sensor/structured_light.cpp."""
-
-    range_over_depth: Floats32
-    amplitude_scale: Floats32
-    table: Floats32
-    supersample: int
-    focal_px: float
-    grazing_cosine: float
-    near: float
-    far: float
-
-
-@lru_cache(maxsize=8)
-def _structured_light(sensor: Sensor, noise: StructuredLightNoise, supersample: int) -> _StructuredLight:
-    """What frames have in common."""
-    near, far = sensor.range_m if noise.range_window else (-np.inf, np.inf)
-    return _StructuredLight(
-        range_over_depth=lens_maps(sensor, 1).range_over_depth,
-        amplitude_scale=amplitude_scale(sensor),
-        table=material_table(True, True, 0.0, 0.0),
-        supersample=supersample,
-        focal_px=sensor.camera.fx,
-        grazing_cosine=float(np.cos(np.radians(noise.grazing_deg))),
-        near=near,
-        far=far,
-    )

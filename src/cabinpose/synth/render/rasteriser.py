@@ -75,22 +75,11 @@ class Rasteriser:
         looks[MATERIAL["belt_webbing"]] |= _TWO_SIDED  # a ribbon that twists shows its back
         rays = np.stack([in_parts(fine.rays[..., k].astype(np.float32), supersample) for k in (0, 1)], axis=1)
         self._eye = _Eye(
-            camera.width,
-            camera.height,
-            supersample,
-            lens=_lens(camera),
-            rays=_blocks(camera),
-            part_rays=rays,
-            looks=looks,
+            camera.width, camera.height, supersample, lens=_lens(camera), rays=_blocks(camera), part_rays=rays, looks=looks,
             which=which,
-        )
-        shape = (camera.height, camera.width)
-        samples = fine.height * fine.width
-        self._buffers = _Buffers(
-            np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8),
-            np.empty(camera.height * camera.width + 1, np.int32),
-            np.empty(samples, np.float32), np.empty(samples, np.float32), np.empty(samples, np.uint8),
         )  # fmt: skip
+        self._shape = camera.height, camera.width
+        self._room = GeometryBuffers.room(supersample, self._shape)  # for the buffers of any frame
 
     def render(
         self,
@@ -114,34 +103,13 @@ class Rasteriser:
                 f"the joints of {len(positions)} persons have {len(numbers)} instance numbers",
                 hint="give one number for each person",
             )
-        shape = (self.camera.height, self.camera.width)
-        images = _Images(
-            np.empty(shape, np.float32), np.empty(shape, np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.int32)
-        )
-        states = np.empty(positions.shape[:2], np.uint8)
-        number = native.render(
-            surface,
-            np.ascontiguousarray(camera_from_vehicle, dtype=np.float64),
-            closed,
-            self._eye,
-            _Joints(positions, numbers, *visibility_rules()),
-            images,
-            self._buffers,
-            states,
-        )
-        lent, parts = self._buffers, (number, self.supersample**2)
-        taken = slice(number * parts[1])
-        buffers = GeometryBuffers(
-            self.supersample,
-            lent.depth,
-            lent.cosine,
-            lent.material,
-            lent.mixed[:number],
-            lent.parts_depth[taken].reshape(parts),
-            lent.parts_cosine[taken].reshape(parts),
-            lent.parts_material[taken].reshape(parts),
-        )
-        return RenderedFrame(images.depth, images.label, images.instance, images.face, buffers, states)
+        frame = RenderedFrame(
+            np.empty(self._shape, np.float32), np.empty(self._shape, np.uint8), np.empty(self._shape, np.uint8),
+            np.empty(self._shape, np.int32), self._room, np.empty(positions.shape[:2], np.uint8),
+        )  # fmt: skip
+        camera, rules = np.ascontiguousarray(camera_from_vehicle, dtype=np.float64), visibility_rules()
+        number = native.render(surface, camera, closed, self._eye, _Joints(positions, numbers, *rules), frame)
+        return frame._replace(buffers=self._room.first(number))
 
 
 class _Lens(NamedTuple):
@@ -178,27 +146,6 @@ class _Joints(NamedTuple):
     reach: Floats
     passed_labels: Bools
     passed_materials: Bools
-
-
-class _Images(NamedTuple):
-    """Images (H, W) of the pixels' centres, which the kernel fills."""
-
-    depth: Floats32
-    label: Bytes
-    instance: Bytes
-    face: Ints32
-
-
-class _Buffers(NamedTuple):
-    """Room for the `GeometryBuffers` of any frame."""
-
-    depth: Floats32
-    cosine: Floats32
-    material: Bytes
-    mixed: Ints32
-    parts_depth: Floats32
-    parts_cosine: Floats32
-    parts_material: Bytes
 
 
 def _blocks(camera: Camera) -> Floats32:
