@@ -105,7 +105,7 @@ def test_joints_of_itop_where_the_dataset_has_them(dataset: xr.Dataset) -> None:
     assert (report.skeleton, report.to_dict()["skeleton"]) == ("itop", "itop")
     some = evaluate(without, answers, OPTIONS, joints=("head", "neck"))  # of ITOP's, although we have joints of these names
     assert repr(some.value("MPJPE", "3d", joints="head")) == repr(report.value("MPJPE", "3d", joints="head"))
-    with pytest.raises(DatasetError, match="the dataset has no joints of the set itop") as caught:
+    with pytest.raises(PredictionsError, match="itop: the dataset has no joints of the set itop") as caught:
         common_joints(dataset, [answers])
     assert caught.value.hint == "it has those of cabinpose"
 
@@ -116,7 +116,7 @@ def test_sets_of_joints_are_not_mixed(dataset: xr.Dataset, predictions: Predicti
     with pytest.raises(PredictionsError, match="noisy's are of cabinpose, other's are of itop"):
         common_skeleton(dataset, [predictions, other])
     for name in ("itop", "coco"):
-        with pytest.raises(DatasetError, match=f"no joints of the set {name}"):
+        with pytest.raises(PredictionsError, match=f"other: the dataset has no joints of the set {name}"):
             evaluate(dataset, replace(other, skeleton=name), OPTIONS)
     with pytest.raises(PredictionsError, match="no joint torso"):
         common_skeleton(dataset, [replace(predictions, joints=("torso", *predictions.joints[1:]))])

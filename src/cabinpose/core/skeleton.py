@@ -162,73 +162,36 @@ _REACH_M = {
     "pelvis": 0.30, "knee": 0.18, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
 
-
-def _sided(centre: dict[str, str], sided: dict[str, str], left: str, right: str) -> MappingProxyType[str, str]:
-    names = dict(centre)
-    for joint, theirs in sided.items():
-        names["l" + joint] = theirs.format(left)
-        names["r" + joint] = theirs.format(right)
-    return MappingProxyType({j: names[j] for j in JOINTS if j in names})
-
-
-# Joints of ours -> those of other sets and formats. MVN streams a segment's origin, which is its proximal joint.
-_MAPS: dict[str, Mapping[str, str]] = {
-    "makehuman_cmu": _sided(
-        {"head": "Head", "neck": "Neck", "chest": "Spine1", "hip": "Hips"},
-        {
-            "shoulder": "{}Arm", "elbow": "{}ForeArm", "wrist": "{}Hand", "hand": "{}FingerBase",
-            "pelvis": "{}UpLeg", "knee": "{}Leg", "ankle": "{}Foot", "foot": "{}ToeBase",
-        },
-        "Left", "Right",
-    ),
-    "mvn": _sided(
-        {"head": "Head", "neck": "Neck", "chest": "T8", "hip": "L5"},
-        {
-            "shoulder": "{}UpperArm", "elbow": "{}Forearm", "wrist": "{}Hand",
-            "pelvis": "{}UpperLeg", "knee": "{}LowerLeg", "ankle": "{}Foot", "foot": "{}Toe",
-        },
-        "Left", "Right",
-    ),
-    "vicon_kinematic_fit": _sided(
-        {"head": "Head_End", "neck": "Head", "chest": "LowerBack_L_Collar", "hip": "LowerBack"},
-        {
-            "shoulder": "{}_Humerus", "elbow": "{}_Elbow", "wrist": "{}_Wrist", "hand": "{}_Wrist_End",
-            "pelvis": "{}_Femur", "knee": "{}_Tibia", "ankle": "{}_Foot", "foot": "{}_Toe",
-        },
-        "L", "R",
-    ),
-    "plug_in_gait": _sided(
-        {"head": "HEDO", "chest": "TRXO", "hip": "PELO"},
-        {
-            "shoulder": "{}CJ", "elbow": "{}HIJ", "wrist": "{}RAO", "hand": "{}HAO",
-            "pelvis": "{}FEP", "knee": "{}FEO", "ankle": "{}TIO", "foot": "{}FOO",
-        },
-        "L", "R",
-    ),
-    # The trunk's are the nearest to ours: SpineShoulder lies between the shoulders, SpineBase between the hips. Kinect's Head
-    # is the middle of the head and its Neck lies below the skull base: neither is our head.
-    "kinect_v2": _sided(
-        {"neck": "SpineShoulder", "chest": "SpineMid", "hip": "SpineBase"},
-        {
-            "shoulder": "Shoulder{}", "elbow": "Elbow{}", "wrist": "Wrist{}", "hand": "Hand{}",
-            "pelvis": "Hip{}", "knee": "Knee{}", "ankle": "Ankle{}", "foot": "Foot{}",
-        },
-        "Left", "Right",
-    ),
-    "coco": _sided(  # a face's keypoints (nose, eyes, ears) are none of ours
-        {},
-        {
-            "shoulder": "{}_shoulder", "elbow": "{}_elbow", "wrist": "{}_wrist", "pelvis": "{}_hip", "knee": "{}_knee",
-            "ankle": "{}_ankle",
-        },
-        "left", "right",
-    ),
-    # Its head is the middle of the head, its neck lies between the shoulders, its torso is no joint, and its foot lies somewhere
-    # between our ankle and foot: none of them is ours.
-    "itop": _sided(
-        {}, {"shoulder": "{}shoulder", "elbow": "{}elbow", "hand": "{}hand", "pelvis": "{}hip", "knee": "{}knee"}, "l", "r"
-    ),
+# Joints of ours and those that are the same in other sets and formats. MVN streams a segment's origin, which is its proximal
+# joint. Of Kinect the trunk's are the nearest to ours: SpineShoulder lies between the shoulders, SpineBase between the hips; its
+# Head is the middle of the head and its Neck lies below the skull base: neither is our head. Of COCO a face's keypoints (nose,
+# eyes, ears) are none of ours. ITOP's head is the middle of the head, its neck lies between the shoulders, its torso is no joint,
+# and its foot lies somewhere between our ankle and foot: none of them is ours.
+_SIDES = {
+    "makehuman_cmu": ("Left", "Right"), "mvn": ("Left", "Right"), "vicon_kinematic_fit": ("L", "R"), "plug_in_gait": ("L", "R"),
+    "kinect_v2": ("Left", "Right"), "coco": ("left", "right"), "itop": ("l", "r"),
 }  # fmt: skip
+_SAME = {
+    "head": ("Head", "Head", "Head_End", "HEDO", "", "", ""),
+    "neck": ("Neck", "Neck", "Head", "", "SpineShoulder", "", ""),
+    "chest": ("Spine1", "T8", "LowerBack_L_Collar", "TRXO", "SpineMid", "", ""),
+    "hip": ("Hips", "L5", "LowerBack", "PELO", "SpineBase", "", ""),
+    "shoulder": ("{}Arm", "{}UpperArm", "{}_Humerus", "{}CJ", "Shoulder{}", "{}_shoulder", "{}shoulder"),
+    "elbow": ("{}ForeArm", "{}Forearm", "{}_Elbow", "{}HIJ", "Elbow{}", "{}_elbow", "{}elbow"),
+    "wrist": ("{}Hand", "{}Hand", "{}_Wrist", "{}RAO", "Wrist{}", "{}_wrist", ""),
+    "hand": ("{}FingerBase", "", "{}_Wrist_End", "{}HAO", "Hand{}", "", "{}hand"),
+    "pelvis": ("{}UpLeg", "{}UpperLeg", "{}_Femur", "{}FEP", "Hip{}", "{}_hip", "{}hip"),
+    "knee": ("{}Leg", "{}LowerLeg", "{}_Tibia", "{}FEO", "Knee{}", "{}_knee", "{}knee"),
+    "ankle": ("{}Foot", "{}Foot", "{}_Foot", "{}TIO", "Ankle{}", "{}_ankle", ""),
+    "foot": ("{}ToeBase", "{}Toe", "{}_Toe", "{}FOO", "Foot{}", "", ""),
+}
+
+
+def _same_in(other: str) -> dict[str, str]:
+    """The column of another set or format, by joint of ours."""
+    column, (left, right) = list(_SIDES).index(other), _SIDES[other]
+    names = {joint: _SAME[joint if joint in _SAME else joint[1:]][column] for joint in JOINTS}
+    return {joint: name.format(left if joint[0] == "l" else right) for joint, name in names.items() if name}
 
 
 CABINPOSE = Skeleton(  # ours of 20 joints
@@ -259,7 +222,7 @@ CABINPOSE = Skeleton(  # ours of 20 joints
         ),
         "wrists and hips": ("rwrist", "lwrist", "hip", "rpelvis", "lpelvis"),
     },
-    maps=_MAPS,
+    maps={other: _same_in(other) for other in _SIDES},
 )  # fmt: skip
 
 ITOP = Skeleton(  # ITOP's 15
@@ -375,7 +338,7 @@ _OLD: dict[str, tuple[str, Any]] = {
     "OKS_SIGMA": ("CABINPOSE.sigma, by joint", MappingProxyType(_SIGMA)),
     "GROUPS": ("CABINPOSE.groups", CABINPOSE.groups),
     "UPPER_BODY": ("CABINPOSE.sets['upper body']", CABINPOSE.sets["upper body"]),
-    "RIGS": ("CABINPOSE.maps", MappingProxyType({name: table for name, table in _MAPS.items() if name != "itop"})),
+    "RIGS": ("CABINPOSE.maps", MappingProxyType({name: table for name, table in CABINPOSE.maps.items() if name != "itop"})),
     "ITOP_JOINTS": ("ITOP.joints", ITOP.joints),
     "ITOP_LIMBS": ("ITOP.parent by name, ITOP.limbs by position", _limb_names(ITOP)),
     "index_pairs": ("Skeleton.subset(joints).limbs", _index_pairs),

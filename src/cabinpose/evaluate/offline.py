@@ -46,16 +46,18 @@ def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predicto
     Raises
     ------
     PredictionsError
-        Where the models' joints are of different sets, which are not mixed, are unknown to the dataset, or have none in common.
-    DatasetError
-        Where the dataset has no joints of the models' set.
+        Where the models' joints are of different sets, which are not mixed, of a set that the dataset does not have, unknown to
+        it, or have none in common.
     """
     names = {skeleton_of(model).name: model_name(model) for model in models}
     if len(names) > 1:
         told = ", ".join(f"{who}'s are of {name}" for name, who in names.items())
         raise PredictionsError(f"the models' joints are of different sets: {told}", hint="evaluate them one by one")
-    (name,) = names
-    known = dataset_skeleton(dataset, CABINPOSE.name if name == UNKNOWN_SET else name)
+    ((name, who),) = names.items()
+    try:
+        known = dataset_skeleton(dataset, CABINPOSE.name if name == UNKNOWN_SET else name)
+    except DatasetError as error:
+        raise PredictionsError(f"{who}: {error}", hint=error.hint) from error
     for model in models:
         if unknown := [joint for joint in model.joints if joint not in known.joints]:
             raise PredictionsError(
