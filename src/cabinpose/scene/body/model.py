@@ -86,7 +86,7 @@ class Person:
     def joints(self, q: Floats, vehicle_from_root: Matrix) -> Floats:
         """(20, 3) joints of `core.skeleton.JOINTS`, vehicle frame, m: kinematics only, no skinning."""
         rotation, position = main_frames(checked(q), self.rest, vehicle_from_root)
-        out = np.empty((20, 3))
+        out = np.empty_like(self.rest.joint_offset)
         native.joint_positions(self.rest, rotation, position, out)
         return out
 
@@ -155,7 +155,7 @@ class PosedBody:
         self.fingers = fingers
         self.vehicle_from_root = vehicle_from_root
         self._rotation, self._position = np.empty((N_MAIN, 3, 3)), np.empty((N_MAIN, 3))
-        self._vehicle_from_mesh, self.joints = np.empty((len(BONES), 3, 4)), np.empty((20, 3))
+        self._vehicle_from_mesh, self.joints = np.empty((len(BONES), 3, 4)), np.empty_like(person.rest.joint_offset)
         palms, soles = np.empty((2, 4, 4)), np.empty((2, 4, 4))
         rest = _with_fingers(person.rest, q, fingers)
         native.pose(
