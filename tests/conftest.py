@@ -59,6 +59,7 @@ def extension(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
 
     def forget() -> None:
         invalidate_caches()
+        registry._installed.cache_clear()
         registry._offers.cache_clear()
 
     monkeypatch.syspath_prepend(folder)

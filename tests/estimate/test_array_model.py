@@ -44,9 +44,11 @@ def mean_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Non
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mean-pose\nVersion: 1\nRequires-Dist: cabinpose\n")
     (info / "entry_points.txt").write_text("[cabinpose.methods]\nmean = mean_pose:MEAN\n")
     monkeypatch.syspath_prepend(str(info.parent))
+    registry._installed.cache_clear()
     registry._offers.cache_clear()
     yield
     monkeypatch.undo()
+    registry._installed.cache_clear()
     registry._offers.cache_clear()
     METHODS._loaded.pop("mean", None)
     sys.modules.pop("mean_pose", None)
@@ -193,7 +195,8 @@ def test_a_network_is_no_array_model(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_model_of_an_extension_that_is_gone(trained_mean: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert METHODS.package("mean") == "mean-pose"
-    monkeypatch.setattr(registry, "_offers", registry._offers.__wrapped__)
+    for cached in ("_installed", "_offers"):
+        monkeypatch.setattr(registry, cached, getattr(registry, cached).__wrapped__)
     monkeypatch.setattr(sys, "path", sys.path[1:])
     for opened in (load_model, describe_model):
         with pytest.raises(ModelError, match="of the method 'mean', which is not installed") as caught:
