@@ -9,12 +9,21 @@ import pytest
 import xarray as xr
 
 from cabinpose.core.errors import ConfigError, DatasetError, PredictionsError
-from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
+from cabinpose.core.ports import IMAGES, FrameBatch, PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE, ITOP
 from cabinpose.evaluate import offline
-from cabinpose.evaluate.offline import check_predictions, common_joints, common_skeleton, evaluate, truth_of
+from cabinpose.evaluate.offline import (
+    check_predictions,
+    common_joints,
+    common_skeleton,
+    evaluate,
+    frame_batch,
+    predict_dataset,
+    truth_of,
+)
 from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.store import points_m
 from cabinpose.store.predictions import Predictions
 
 OPTIONS = EvaluationOptions(resamples=0)
@@ -59,6 +68,44 @@ def test_a_detector_of_wrong_shape_is_a_defect(dataset: xr.Dataset, predictions:
         evaluate(dataset, replay, OPTIONS)
     with pytest.raises(DatasetError, match="no depth"):
         evaluate(dataset.drop_vars("depth"), Replay(predictions), OPTIONS)
+
+
+class Looker(Replay):
+    """A detector that asks for images, and keeps what it is given."""
+
+    def __init__(self, answers: Predictions, *images: str) -> None:
+        super().__init__(answers)
+        self.images, self.seen = images, list[FrameBatch]()
+
+    def predict(self, frames: FrameBatch) -> PoseBatch:
+        self.seen.append(frames)
+        return super().predict(frames)
+
+
+def test_a_detector_is_given_the_images_that_it_asks_for(dataset: xr.Dataset, predictions: Predictions) -> None:
+    """Each is the dataset's variable, and a cloud the one that the dataset computes of its depth."""
+    images = [name for name in IMAGES if name in dataset]
+    assert {"depth", "amplitude", "confidence", "labels"} <= set(images)
+    looker = Looker(predictions, *images, "cloud")
+    evaluate(dataset, looker, OPTIONS)
+    predict_dataset(dataset, Looker(predictions, "cloud"))
+    assert {"depth", "amplitude", "camera_k", "camera_dist", "frame", "sync_ns"} | {*images, "cloud"} == looker.seen[0].keys()
+    for name in images:
+        np.testing.assert_array_equal(looker.seen[0][name], dataset[name].values)
+        assert looker.seen[0][name].dtype == dataset[name].dtype
+    np.testing.assert_allclose(looker.seen[0]["cloud"], points_m(dataset).values, rtol=1e-6, atol=1e-7)
+
+
+def test_an_image_that_the_dataset_lacks_is_told_before_the_first_frame(dataset: xr.Dataset, predictions: Predictions) -> None:
+    looker = Looker(predictions, "rgb", "depth", "depth_styled")
+    for run in (lambda: evaluate(dataset, looker, OPTIONS), lambda: predict_dataset(dataset, looker)):
+        with pytest.raises(DatasetError, match="the dataset has no rgb, depth_styled for noisy to see") as caught:
+            run()
+        assert caught.value.hint == "it has depth, amplitude, confidence, labels, cloud"
+    assert not looker.seen
+    with pytest.raises(DatasetError, match="the dataset has no rgb") as caught:
+        frame_batch(dataset, slice(2), ("rgb",))
+    assert caught.value.hint == "it has depth, amplitude, confidence, labels, cloud"
 
 
 def test_chunks_of_a_file(dataset: xr.Dataset, predictions: Predictions, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cabinpose.core import Camera, ConfigError, Predictor, Segmenter, Visibility
+from cabinpose.core import Camera, ConfigError, Predictor, Segmenter, Visibility, require_images
 from cabinpose.estimate import LiftedPredictor, Lifter, camera_of, lifted, open_model
 from cabinpose.estimate.remote import SCHEME, open_predictor
 from cabinpose.evaluate import check_predictions
-from cabinpose.store import Predictions, read_predictions
+from cabinpose.store import Predictions, image_names, read_predictions
 
 TRUTH = "truth"
 Model = Predictions | Predictor | Segmenter
@@ -40,8 +40,11 @@ def opened_models(
     ------
     ConfigError
         For a source of 2D joints without a lifting model, or one that shares no joint with it.
+    DatasetError
+        For a model that reads an image that the dataset does not have.
     """
     models = [_opened(name) for name in names]
+    require_images([model for model in models if not isinstance(model, Lifter)], image_names(dataset), "the dataset")
     if joints_from is not None and not any(isinstance(model, Lifter) for model in models):
         raise ConfigError("--from says where 2D joints to lift come from, and no model lifts", hint="leave out --from")
     source = joints_from or TRUTH

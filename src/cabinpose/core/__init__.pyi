@@ -41,12 +41,15 @@ from .intrinsics import RationalLens as RationalLens
 from .intrinsics import fit_camera as fit_camera
 from .intrinsics import fit_lens as fit_lens
 from .intrinsics import pixel_error as pixel_error
+from .ports import IMAGES as IMAGES
 from .ports import POSE_ARRAYS as POSE_ARRAYS
 from .ports import FrameBatch as FrameBatch
 from .ports import PoseBatch as PoseBatch
 from .ports import Predictor as Predictor
 from .ports import Segmenter as Segmenter
+from .ports import images_of as images_of
 from .ports import joined as joined
+from .ports import require_images as require_images
 from .pose import OCCUPANT_SLOTS as OCCUPANT_SLOTS
 from .pose import STANDING_SLOT as STANDING_SLOT
 from .pose import Visibility as Visibility

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.core.errors import DatasetError
 from cabinpose.core.imports import moved
 from cabinpose.core.segmentation import Part
 
@@ -22,6 +23,10 @@ class FrameBatch(TypedDict):
     camera_k: (N, 3, 3) or (3, 3) float64, px; an integer pixel is a pixel's centre.
     camera_dist: (N, 5) or (5,) float64, OpenCV's k1 k2 p1 p2 k3.
     amplitude: (N, H, W) uint16 or float32, of the active infrared light; left out where the camera gives none.
+    confidence, noise, depth_styled, labels, rgb, nir: images as the dataset's variables of these names hold them, for detectors
+    that ask for them (`images_of`): uint8, uint16 µm (0 = unknown), float32 m (NaN = invalid), uint8 classes, (N, H, W, 3) uint8
+    sRGB, uint16.
+    cloud: (N, H, W, 3) float32 m, each pixel's point in the camera frame, NaN where depth is; for those that ask for it.
     frame, sync_ns: (N,) int64, the frames' numbers and time stamps on the common clock; for messages and detectors elsewhere.
     """
 
@@ -29,8 +34,19 @@ class FrameBatch(TypedDict):
     camera_k: NDArray[np.float64]
     camera_dist: NDArray[np.float64]
     amplitude: NotRequired[NDArray[Any]]
+    confidence: NotRequired[NDArray[np.uint8]]
+    noise: NotRequired[NDArray[np.uint16]]
+    depth_styled: NotRequired[NDArray[np.float32]]
+    labels: NotRequired[NDArray[np.uint8]]
+    rgb: NotRequired[NDArray[np.uint8]]
+    nir: NotRequired[NDArray[np.uint16]]
+    cloud: NotRequired[NDArray[np.float32]]
     frame: NotRequired[NDArray[np.int64]]
     sync_ns: NotRequired[NDArray[np.int64]]
+
+
+IMAGES = ("depth", "amplitude", "confidence", "noise", "depth_styled", "labels", "rgb", "nir", "cloud")
+"""The images of a frame that a detector can be given, by their names in a `FrameBatch`."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +88,10 @@ def joined(batches: Sequence[PoseBatch]) -> PoseBatch:
 
 @runtime_checkable
 class Predictor(Protocol):
-    """A detector of body pose."""
+    """A detector of body pose.
+
+    One that reads other images than depth, and amplitude where there is one, has an attribute `images`: their names, of `IMAGES`.
+    """
 
     @property
     def name(self) -> str:
@@ -104,3 +123,26 @@ class Segmenter(Protocol):
 
     def segment(self, frames: FrameBatch) -> NDArray[np.uint8]:
         """Label images (N, H, W) in the frames' own pixels: 0 = nobody, else 1 + the position of the part."""
+
+
+def images_of(model: Predictor | Segmenter) -> tuple[str, ...]:
+    """The images without which a detector does not work, of `IMAGES`."""
+    return tuple(getattr(model, "images", ("depth",)))
+
+
+def require_images(models: Iterable[Predictor | Segmenter], there: Collection[str], source: str) -> None:
+    """Raise DatasetError where a detector reads images that a source does not have.
+
+    Parameters
+    ----------
+    models
+        The detectors.
+    there
+        The images of the source, of `IMAGES`.
+    source
+        What the message calls it.
+    """
+    for model in models:
+        if lacking := [name for name in images_of(model) if name not in there]:
+            known = ", ".join(name for name in IMAGES if name in there) or "no images"
+            raise DatasetError(f"{source} has no {', '.join(lacking)} for {model.name} to see", hint=f"it has {known}")

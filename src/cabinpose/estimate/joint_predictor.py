@@ -31,6 +31,11 @@ class JointPredictor:
         self.model, self.config = model, model.config
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
 
+    @property
+    def images(self) -> tuple[str, ...]:
+        """The images that the model reads."""
+        return tuple(self.config.inputs)
+
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""
         batches = []

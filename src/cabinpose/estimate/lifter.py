@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, Predictor
+from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, Predictor, images_of
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of
 
 
@@ -40,6 +40,11 @@ class LiftedPredictor:
         self._base, self._lifting = base, lifting
         self.name, self.persons, self.joints = f"{base.name}+{lifting.name}", base.persons, base.joints
         _common(base.joints, lifting, base.name)
+
+    @property
+    def images(self) -> tuple[str, ...]:
+        """The images that the predictor of 2D joints reads."""
+        return images_of(self._base)
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames; 3D joints where the base has 2D ones of people with enough of them."""

@@ -31,6 +31,11 @@ class PartSegmenter:
         """The parts: the number n of a label image is `parts[n - 1]`."""
         return tuple(self.config.parts)
 
+    @property
+    def images(self) -> tuple[str, ...]:
+        """The images that the model reads."""
+        return tuple(self.config.inputs)
+
     def segment(self, frames: FrameBatch) -> NDArray[np.uint8]:
         """Label images (N, H, W) in the frames' own pixels: 0 = nobody, or outside the model's view, else 1 + the position of the
         part.

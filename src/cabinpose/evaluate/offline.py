@@ -20,14 +20,25 @@ from cabinpose.core import (
     Segmenter,
     Skeleton,
     Visibility,
+    images_of,
     joined,
+    require_images,
     skeleton_of,
     unknown_name,
 )
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
 from cabinpose.evaluate.samples import Samples, TruthChunk, collect
-from cabinpose.store import ClassImages, Predictions, camera_of, dataset_skeleton, joint_dimension, joints_variable
+from cabinpose.store import (
+    ClassImages,
+    Predictions,
+    camera_of,
+    dataset_skeleton,
+    frame_images,
+    image_names,
+    joint_dimension,
+    joints_variable,
+)
 
 CHUNK = 512  # frames of joints at a time
 BATCH = 16  # frames of images at a time, for a detector
@@ -188,6 +199,8 @@ def _chunks(
     count = dataset.sizes["frame"]
     step = CHUNK if isinstance(model, Predictions) else BATCH
     truth = truth_of(dataset, skeleton)
+    if not isinstance(model, Predictions):
+        require_images([model], image_names(dataset), "the dataset")
     for start in range(0, count, step):
         part = truth.isel(frame=slice(start, start + step))
         frame, sequence, sync_ns = (part[name].values.astype(np.int64) for name in ("frame", "sequence", "sync_ns"))
@@ -196,7 +209,7 @@ def _chunks(
         if isinstance(model, Predictions):
             batch = model.take(chunk.frame)
         else:
-            batch = model.predict(frame_batch(dataset, slice(start, start + step)))
+            batch = model.predict(frame_batch(dataset, slice(start, start + step), images_of(model)))
             _check_shapes(batch, model, len(chunk.frame))
         yield chunk, batch.map(lambda values: values[:, rows][:, :, columns])
         progress(min(start + step, count))
@@ -210,7 +223,7 @@ def predict_dataset(
     Parameters
     ----------
     dataset
-        The frames, with depth.
+        The frames, with the images that the detector reads.
     model
         The detector.
     dataset_id
@@ -223,9 +236,10 @@ def predict_dataset(
     Predictions
         By the numbers of the frames.
     """
+    require_images([model], image_names(dataset), "the dataset")
     count, batches = dataset.sizes["frame"], []
     for start in range(0, count, BATCH):
-        batches.append(model.predict(frame_batch(dataset, slice(start, start + BATCH))))
+        batches.append(model.predict(frame_batch(dataset, slice(start, start + BATCH), images_of(model))))
         if progress is not None:
             progress(min(start + BATCH, count))
     found = joined(batches)
@@ -235,12 +249,29 @@ def predict_dataset(
     )  # fmt: skip
 
 
-def frame_batch(dataset: xr.Dataset, frames: slice) -> FrameBatch:
-    """Some frames of a dataset as a detector gets them; `DatasetError` where it has no depth."""
-    if "depth" not in dataset:
+def frame_batch(dataset: xr.Dataset, frames: slice, images: Sequence[str] = ("depth",)) -> FrameBatch:
+    """Some frames of a dataset as a detector gets them: depth and amplitude where there are any, and the images that it reads.
+
+    Parameters
+    ----------
+    dataset
+        A dataset or a selection of it.
+    frames
+        Which of its frames, by position.
+    images
+        What the detector asks for, see `cabinpose.core.images_of`.
+
+    Raises
+    ------
+    DatasetError
+        Where the dataset does not have one of these.
+    """
+    if "depth" in images and "depth" not in dataset:
         raise DatasetError("the dataset has no depth for a detector to see", hint="evaluate a predictions file instead")
-    names = ("depth", "amplitude", "camera_k", "camera_dist", "frame", "sync_ns")
-    return cast("FrameBatch", {name: dataset[name].isel(frame=frames).values for name in names if name in dataset})
+    usual = [name for name in ("depth", "amplitude") if name in dataset]
+    rest = ("camera_k", "camera_dist", "frame", "sync_ns")
+    found = frame_images(dataset, frames, list(dict.fromkeys([*usual, *images])))
+    return cast("FrameBatch", found | {name: dataset[name].isel(frame=frames).values for name in rest if name in dataset})
 
 
 def _check_shapes(batch: PoseBatch, model: Predictor, frames: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core import DatasetError, Segmenter, class_table, confusion, intersection_over_union, whole_person
+from cabinpose.core import DatasetError, Segmenter, class_table, confusion, images_of, intersection_over_union, whole_person
 from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_sums
 from cabinpose.evaluate.offline import BATCH, frame_batch
 
@@ -124,7 +124,7 @@ def pairs(
     frames = dataset.sizes["frame"]
     for start in range(0, frames, BATCH):
         which = slice(start, start + BATCH)
-        yield table[dataset["labels"].isel(frame=which).values], model.segment(frame_batch(dataset, which))
+        yield table[dataset["labels"].isel(frame=which).values], model.segment(frame_batch(dataset, which, images_of(model)))
         if progress is not None:
             progress(min(start + BATCH, frames))
 

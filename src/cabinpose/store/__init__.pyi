@@ -7,6 +7,8 @@ from .dataset import DatasetWriter as DatasetWriter
 from .dataset import create_dataset as create_dataset
 from .frames import dataset_skeleton as dataset_skeleton
 from .frames import depth_mm as depth_mm
+from .frames import frame_images as frame_images
+from .frames import image_names as image_names
 from .frames import label_colours as label_colours
 from .frames import label_table as label_table
 from .frames import people as people

@@ -12,7 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from PIL import Image
 
-from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Skeleton, Visibility, skeleton_with
+from cabinpose.core import CABINPOSE, IMAGES, SKELETONS, DatasetError, Skeleton, Visibility, skeleton_with
+from cabinpose.store.lazy import camera_of
 from cabinpose.store.schema import joint_dimension
 
 # Who places the joints of datasets that were not generated, by what made them. In a set's own variable they have its names alone.
@@ -68,6 +69,49 @@ def frames(dataset: xr.Dataset, images: Sequence[str]) -> Iterator[xr.Dataset]:
     selected[small].load()
     for i in range(dataset.sizes["frame"]):
         yield selected.isel(frame=i).load()
+
+
+def image_names(dataset: xr.Dataset) -> tuple[str, ...]:
+    """The images of a dataset that a detector can be given, of `IMAGES`: a cloud is made of depth."""
+    return tuple(name for name in IMAGES if name in dataset or (name == "cloud" and "depth" in dataset))
+
+
+def frame_images(dataset: xr.Dataset, frames: slice, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Images of some frames as a detector gets them.
+
+    Parameters
+    ----------
+    dataset
+        A dataset or a selection of it.
+    frames
+        Which of its N frames, by position.
+    names
+        Which images, of `IMAGES`.
+
+    Returns
+    -------
+    dict
+        By name (N, H, W), or (N, H, W, 3) for rgb and cloud, as `FrameBatch` has them.
+
+    Raises
+    ------
+    DatasetError
+        For an image that the dataset does not have; for a cloud also where it does not know its camera.
+    """
+    part, known = dataset.isel(frame=frames), image_names(dataset)
+    for name in names:
+        if name not in known:
+            raise DatasetError(f"the dataset has no {name}", hint=f"it has {', '.join(known) or 'no images'}")
+    return {name: _cloud(part) if name == "cloud" else part[name].values for name in names}
+
+
+def _cloud(part: xr.Dataset) -> NDArray[np.float32]:
+    """(N, H, W, 3) m, each pixel's point in the camera frame."""
+    depth = part["depth"].values
+    points = np.empty((*depth.shape, 3), np.float32)
+    for i, image in enumerate(depth):
+        points[i] = camera_of(part.isel(frame=i), depth.shape[2], depth.shape[1]).points(image)
+    return points
 
 
 def people(frame: xr.Dataset) -> list[PersonInFrame]:

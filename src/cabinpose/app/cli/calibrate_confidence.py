@@ -94,6 +94,7 @@ def _measured(
     """
     import numpy as np
 
+    from cabinpose.core import images_of
     from cabinpose.estimate import cameras_of, cues
     from cabinpose.evaluate import BATCH, common_skeleton, frame_batch, shared_places, truth_of
 
@@ -106,7 +107,7 @@ def _measured(
     known, error_m = [], []
     for start in range(0, dataset.sizes["frame"], BATCH):
         which = slice(start, start + BATCH)
-        frames = frame_batch(dataset, which)
+        frames = frame_batch(dataset, which, images_of(model))
         found = model.model.run(model.seen(frames, slice(None), cameras_of(frames, slice(None))))
         true = truth.isel(frame=which)
         distance = np.linalg.norm(found.joints_3d[:, rows][:, :, columns] - true["joints_3d"].values, axis=-1)

@@ -94,6 +94,7 @@ def run(command: Predict) -> None:
 
 def _write_parts(command: Predict, dataset: xr.Dataset, model: Segmenter, name: str) -> None:
     """Run a segmentation and write its label images."""
+    from cabinpose.core import images_of
     from cabinpose.evaluate import BATCH, frame_batch
     from cabinpose.store import write_class_images
 
@@ -102,7 +103,7 @@ def _write_parts(command: Predict, dataset: xr.Dataset, model: Segmenter, name: 
 
         def batches() -> Iterator[NDArray[np.uint8]]:
             for start in range(0, count, BATCH):
-                yield model.segment(frame_batch(dataset, slice(start, start + BATCH)))
+                yield model.segment(frame_batch(dataset, slice(start, start + BATCH), images_of(model)))
                 report(min(start + BATCH, count))
 
         write_class_images(

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.align import surface_depth, visibility
-from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility
+from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility, images_of
 from cabinpose.evaluate import frame_batch
 from cabinpose.store import JointLabel, Key, Labels, Manifest, Predictions, camera_of, dataset_id
 
@@ -231,7 +231,7 @@ class Labelling:
         if isinstance(model, Predictions):
             batch = model.take(self.numbers[row : row + 1])
         else:
-            batch = model.predict(frame_batch(self.dataset, slice(row, row + 1)))
+            batch = model.predict(frame_batch(self.dataset, slice(row, row + 1), images_of(model)))
         frame, found, least = self._frame(row), {}, 1.0
         camera, depth = self._camera(row), frame["depth"].values
         for slot, person in enumerate(model.persons):

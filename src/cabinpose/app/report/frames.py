@@ -12,7 +12,7 @@ from cabinpose.app.report.charts import line, svg
 from cabinpose.app.report.html import Html, el, figure, picture_uri
 from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
-from cabinpose.core import SKELETONS, PoseBatch, Predictor, Skeleton, Visibility, skeleton_with
+from cabinpose.core import SKELETONS, PoseBatch, Predictor, Skeleton, Visibility, images_of, skeleton_with
 from cabinpose.evaluate import ALL, EvaluationOptions, Report, frame_batch, truth_of
 from cabinpose.store import Predictions, joint_dimension
 
@@ -49,7 +49,7 @@ def _poses(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> 
     """The poses that a model finds in the frame of this number."""
     if isinstance(model, Predictions):
         return model.take(np.array([number]))
-    return model.predict(frame_batch(dataset.sel(frame=[number]), slice(0, 1)))
+    return model.predict(frame_batch(dataset.sel(frame=[number]), slice(0, 1), images_of(model)))
 
 
 def overlay(
