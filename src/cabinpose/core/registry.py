@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from cabinpose.core.errors import CabinposeError, ConfigError, ExtensionError, unknown_name
 
 if TYPE_CHECKING:
-    from importlib.metadata import Distribution, EntryPoint, EntryPoints
+    from importlib.metadata import Distribution, EntryPoint
 
 T = TypeVar("T")
 OURS = "cabinpose"
@@ -155,8 +155,11 @@ class Registry(Generic[T]):
 
 
 @cache
-def _installed() -> EntryPoints:
-    """Those of all groups: asked for by group, each would be looked for in all packages again, which takes 20 ms."""
+def _installed() -> Any:
+    """Entry points of all groups: asked for by group, each would be looked for in all packages again, which takes 20 ms.
+
+    Of a type that Python 3.12 has changed; both have `select`.
+    """
     from importlib.metadata import entry_points  # noqa: PLC0415 - what `--help` does without
 
     return entry_points()
