@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import pickle
+import tracemalloc
 import warnings
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from zarr.storage import MemoryStore
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.store import Manifest, PartWriter, create_dataset, open_dataset, points_m, read_manifest
-from cabinpose.store.schema import DEPTH_SCALE_M, VARIABLE, manifest_yaml, with_checksum_line
+from cabinpose.store.schema import DEPTH_SCALE_M, VARIABLE, PartPlan, PartPlans, manifest_yaml, with_checksum_line
 from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL, depth_ticks
 from cabinpose.store.zarr_metadata import zarr_arrays
 
@@ -309,3 +310,46 @@ def test_a_part_of_skipped_frames_alone_is_refused(spheres: ModuleType, tmp_path
         with pytest.raises(DatasetError, match="not more"):
             skip(writer.folder, manifest, manifest.parts[0].frames + 1)
     assert not list((tmp_path / "none").glob("*part*"))
+
+
+@given(frames=st.integers(1, 60), size=st.integers(1, 7), data=st.data())
+def test_plans_of_parts_are_a_list_without_some(frames: int, size: int, data: st.DataObject) -> None:
+    listed = [PartPlan(n, first, min(size, frames - first)) for n, first in enumerate(range(0, frames, size))]
+    gone = sorted(data.draw(st.sets(st.sampled_from(range(len(listed))))))
+    want = [plan for plan in listed if plan.index not in gone]
+    plans = PartPlans(frames, size).without(gone)
+    assert (list(plans), len(plans), plans.frames) == (want, len(want), sum(plan.frames for plan in want))
+    assert [plans[n] for n in range(-len(want), 0)] == want
+    assert plans[1:3] == want[1:3]
+    with pytest.raises(IndexError):
+        plans[len(want)]
+
+
+def test_a_billion_frames_are_planned_in_little_memory(
+    spheres: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the disk has room; what is there already is left out, and the file is read again."""
+    monkeypatch.setattr("cabinpose.store.dataset.shutil.disk_usage", lambda _: SimpleNamespace(free=10**18))
+    manifest = spheres.manifest().model_copy(update={"frames": 10**9, "frames_per_part": 100})
+    (tmp_path / "part-00000.zarr").mkdir()
+    (tmp_path / "part-9999998.zarr").mkdir()
+    tracemalloc.start()
+    with create_dataset(tmp_path / "new", manifest) as writer:
+        assert (len(writer.missing()), writer.missing().frames) == (10**7, 10**9)
+        assert writer.missing()[-1] == PartPlan(9_999_999, 999_999_900, 100)
+        assert read_manifest(tmp_path / "new").parts.frames == 10**9
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6
+    assert [plan.index for plan in manifest.parts_in(tmp_path)] == [0, 9_999_998]
+    (tmp_path / "part-10000000.zarr").mkdir()  # beyond the last
+    (tmp_path / "part-000001.zarr").mkdir()  # no name of a part
+    assert len(manifest.parts_in(tmp_path)) == 2
+
+
+def test_a_disk_that_is_too_small_is_told_before_anything_is_planned(spheres: ModuleType, tmp_path: Path) -> None:
+    manifest = spheres.manifest().model_copy(update={"frames": 10**15, "frames_per_part": 100})
+    with pytest.raises(DatasetError, match=r"1000000000000000 frames need about [\d,.]+ GB \(and take 115,740,741 days") as error:
+        create_dataset(tmp_path / "new", manifest)
+    assert "fewer frames" in (error.value.hint or "")
+    assert not (tmp_path / "new").exists()

@@ -14,13 +14,14 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from synth_scenes import fingerprint, small_config
 
+from cabinpose.app.view.summary import summarise
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.core.frames import invert
 from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS, SEGMENTS
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.things import THINGS
-from cabinpose.store import open_dataset
+from cabinpose.store import open_dataset, read_manifest
 from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import Output, SynthConfig
 from cabinpose.synth.generate import generate
@@ -433,3 +434,22 @@ def test_with_body_counts(film) -> None:
     seated = judge.with_body(judge.empty(cast.settings, film.wheel_angle(0.0)), (two.slot, one.person, beside))
     verdict, _ = judge.admit(seated, (one.slot, one.person, one.posed))
     assert verdict.cause == "person"
+
+
+def test_the_acceptance_of_a_sequence_is_a_share_of_what_was_judged(tmp_path: Path) -> None:
+    """More ways are refused here than poses and activities were drawn; the file has the number of these, and no share."""
+    config = small_config(occupancy=TWO, in_hand=1.0, sequence={"frames": 3, "rate_hz": 4.0, "activities": ["hand_over"]})
+    report = generate(config, 3, tmp_path, seed=37, workers=1)
+    rejected = sum(report.rejections.values())
+    assert rejected > report.proposals
+    assert report.judged > rejected
+    assert report.acceptance == pytest.approx(1.0 - rejected / report.judged)
+    dataset = open_dataset(tmp_path)
+    assert (dataset.attrs["proposals"], sum(dataset.attrs["rejections"].values())) == (report.proposals, rejected)
+    assert summarise(dataset, read_manifest(tmp_path), tmp_path).acceptance is None
+
+
+def test_each_pose_and_way_is_judged_once(film) -> None:
+    """What holds are the poses at first, the breath of each, and of each activity its goal and its way."""
+    attempts, segments = film.attempts, sum(len(track.segments) for track in film.tracks.values())
+    assert attempts.judged - attempts.rejections.total() >= 2 * len(film.tracks) + 2 * segments

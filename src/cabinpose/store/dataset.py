@@ -15,9 +15,10 @@ import numpy as np
 from cabinpose.core import DatasetError
 from cabinpose.store.part import disk_errors, temporary_parts
 from cabinpose.store.part_facts import check_part
-from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, manifest_yaml, read_manifest, with_checksum_line
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, PartPlans, manifest_yaml, read_manifest, with_checksum_line
 
 _COMPRESSION = 0.7  # of the raw size; noisy depth at 352x287 measured 0.5
+_FRAMES_A_DAY = 100 * 86_400  # at a hundred a second
 _HIDDEN_MANIFEST = f".{MANIFEST_NAME}.tmp"
 
 
@@ -35,11 +36,11 @@ class DatasetWriter:
 
     def complete(self) -> list[PartPlan]:
         """The parts that stand under their final name, in order."""
-        return [plan for plan in self.manifest.parts if (self.folder / plan.name).is_dir()]
+        return self.manifest.parts_in(self.folder)
 
-    def missing(self) -> list[PartPlan]:
+    def missing(self) -> PartPlans:
         """The parts still to be made, in order."""
-        return [plan for plan in self.manifest.parts if not (self.folder / plan.name).is_dir()]
+        return self.manifest.parts.without([plan.index for plan in self.complete()])
 
     def close(self, *, failed: bool = False) -> None:
         """Remove unfinished parts of dead workers, and all of a run that failed before its first part; let other writers in."""
@@ -105,6 +106,8 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
             _write_manifest(path, manifest)
     except BaseException:
         os.close(lock)
+        if made and not any(path.iterdir()):
+            path.rmdir()
         raise
     return writer
 
@@ -175,12 +178,14 @@ def _flat(value: Any, path: str = "") -> dict[str, Any]:
 
 def _check_space(writer: DatasetWriter) -> None:
     """Compare the frames still to come, at a cautious rate of compression, with what the disk has."""
-    frames = sum(plan.frames for plan in writer.missing())
-    need = int(frames * frame_bytes(writer.manifest) * _COMPRESSION)
+    frames = writer.missing().frames
+    need = frames * round(frame_bytes(writer.manifest) * _COMPRESSION)
     free = shutil.disk_usage(writer.folder).free
     if need > free:
+        days = frames / _FRAMES_A_DAY
+        long = "" if days < 1 else f" (and take {days:,.0f} days at 100 frames/s)"
         raise DatasetError(
-            f"{frames} frames need about {need / 1e9:.1f} GB, {writer.folder} has {free / 1e9:.1f} GB left",
+            f"{frames} frames need about {need / 1e9:,.1f} GB{long}, {writer.folder} has {free / 1e9:,.1f} GB left",
             hint="free some disk space, ask for fewer frames or give a folder on another disk with --out",
         )
 

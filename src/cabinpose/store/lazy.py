@@ -50,7 +50,7 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
     """
     path = Path(folder)
     manifest = read_manifest(path)
-    plans = [plan for plan in manifest.parts if (path / plan.name).is_dir()]
+    plans = manifest.parts_in(path)
     absent = len(manifest.parts) - len(plans)
     if not plans:
         raise DatasetError(f"{path} has no complete part yet", hint="generate it with `cabinpose synth --resume`")

@@ -9,12 +9,14 @@ The last line of the manifest is the checksum of the lines before it. Datasets m
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, overload
 
+import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -23,6 +25,8 @@ from cabinpose.core import CABINPOSE, JOINTS, OCCUPANT_SLOTS, OTHER_SKELETONS, D
 SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1
 MANIFEST_NAME = "dataset.yaml"
+MOST_LISTED_PARTS: Final = 100_000  # in dataset.yaml; of more it states their number
+_PART = re.compile(r"part-(\d{5}|[1-9]\d{5,})\.zarr")
 DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
 
 
@@ -168,6 +172,43 @@ class PartPlan:
         return f"part-{self.index:05d}.zarr"
 
 
+class PartPlans(Sequence[PartPlan]):
+    """The plans of parts, in order, each made when it is asked for: those of a billion frames take no memory."""
+
+    def __init__(self, frames: int, frames_per_part: int, without: Sequence[int] = ()) -> None:
+        """without: numbers of the parts that are left out, ascending."""
+        self._frames, self._size = frames, frames_per_part
+        self._gaps = np.array(without, np.int64) - np.arange(len(without))  # how many parts stay before each that is left out
+        self._count = -(-frames // frames_per_part) - len(without)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, number: int) -> PartPlan: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> Sequence[PartPlan]: ...
+
+    def __getitem__(self, number: int | slice) -> PartPlan | Sequence[PartPlan]:
+        if isinstance(number, slice):
+            return [self[n] for n in range(*number.indices(self._count))]
+        place = number + self._count if number < 0 else number
+        if not 0 <= place < self._count:
+            raise IndexError(number)
+        index = place + int(np.searchsorted(self._gaps, place, side="right")) if len(self._gaps) else place
+        return PartPlan(index, index * self._size, min(self._size, self._frames - index * self._size))
+
+    def without(self, numbers: Sequence[int]) -> PartPlans:
+        """All but those of these numbers, ascending."""
+        return PartPlans(self._frames, self._size, numbers)
+
+    @property
+    def frames(self) -> int:
+        """How many frames they have together."""
+        return self._size * (self._count - 1) + self[-1].frames if self._count else 0
+
+
 class Manifest(BaseModel):
     """What `dataset.yaml` says. Frozen; raises `DatasetError` through `from_mapping`, else pydantic's error.
 
@@ -228,15 +269,24 @@ class Manifest(BaseModel):
             raise DatasetError(f"{source}: {where}: {first['msg']}", hint=_RESTORE) from error
         listed = data.get("parts")
         # The number first: a damaged count of frames must not make a list of millions.
-        if not isinstance(listed, list) or len(listed) != manifest.part_count or listed != manifest.to_mapping()["parts"]:
+        count = manifest.part_count
+        if not (
+            len(listed) == count and listed == manifest.listed_parts()
+            if isinstance(listed, list)
+            else count > MOST_LISTED_PARTS and listed == count
+        ):
             raise DatasetError(f"{source}: its parts are not those of {manifest.frames} frames", hint=_RESTORE)
         return manifest
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain data in the order of the file, the derived list of parts at its end."""
+        """Plain data in the order of the file, the derived list of parts at its end, or of very many their number."""
         data = self.model_dump(mode="json", by_alias=True)
-        data["parts"] = [{"name": p.name, "first": p.first, "frames": p.frames} for p in self.parts]
+        data["parts"] = self.listed_parts() if self.part_count <= MOST_LISTED_PARTS else self.part_count
         return data
+
+    def listed_parts(self) -> list[dict[str, Any]]:
+        """The parts as plain data, in order."""
+        return [{"name": p.name, "first": p.first, "frames": p.frames} for p in self.parts]
 
     @property
     def part_count(self) -> int:
@@ -244,12 +294,16 @@ class Manifest(BaseModel):
         return -(-self.frames // self.frames_per_part)
 
     @cached_property
-    def parts(self) -> tuple[PartPlan, ...]:
+    def parts(self) -> PartPlans:
         """All parts, in order."""
-        size = self.frames_per_part
-        return tuple(
-            PartPlan(index, first, min(size, self.frames - first)) for index, first in enumerate(range(0, self.frames, size))
-        )
+        return PartPlans(self.frames, self.frames_per_part)
+
+    def parts_in(self, folder: Path) -> list[PartPlan]:
+        """Those that stand in a folder under their final name, in order."""
+        entries = folder.iterdir() if folder.is_dir() else ()
+        numbers = sorted(int(found[1]) for entry in entries if (found := _PART.fullmatch(entry.name)))
+        plans = (self.parts[number] for number in numbers if number < self.part_count)
+        return [plan for plan in plans if (folder / plan.name).is_dir()]
 
     @cached_property
     def stored(self) -> tuple[Variable, ...]:

@@ -54,7 +54,7 @@ class CarScenes:
         attempts.scenes.append(str(cast))
         furnished = self._furnishing.furnish(cast, rng=rng)
         if isinstance(furnished, Blocked):
-            attempts.rejections[furnished.rejection] += 1
+            attempts.judge(furnished.rejection)
             return None
         return furnished
 

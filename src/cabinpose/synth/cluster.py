@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
+from functools import lru_cache, partial
+from itertools import islice
 from pathlib import Path
 
 from distributed import Client, KilledWorker, as_completed
@@ -14,9 +15,11 @@ from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.frame_maker import FrameMaker
 from cabinpose.synth.write import FrameReport, make_frames
 
+_AHEAD = 10_000  # parts that the scheduler knows of at a time
+
 
 def make_parts(
-    folder: Path, plans: list[PartPlan], config: SynthConfig, manifest: Manifest, scheduler: str
+    folder: Path, plans: Sequence[PartPlan], config: SynthConfig, manifest: Manifest, scheduler: str
 ) -> Iterator[FrameReport]:
     """Make the parts on the cluster whose scheduler answers at an address, and yield a report for each when it is finished.
 
@@ -28,17 +31,24 @@ def make_parts(
     except (OSError, TimeoutError, ValueError) as error:
         raise ConfigError(f"no Dask scheduler answers at {scheduler}", hint="start one with `dask scheduler`") from error
     with client:
-        futures = client.map(_make_part, plans, folder=folder, config=config, manifest=manifest, pure=False)
+        coming = iter(plans)
+        submit = partial(client.submit, _make_part, folder=folder, config=config, manifest=manifest, pure=False)
+        waiting = {submit(plan) for plan in islice(coming, _AHEAD)}
         try:
-            for future in as_completed(futures):
+            completed = as_completed(waiting)
+            for future in completed:
                 yield future.result()
+                waiting.discard(future)
+                for plan in islice(coming, 1):
+                    waiting.add(one := submit(plan))
+                    completed.add(one)
         except KilledWorker as error:
             raise SceneError(
                 f"a part ended its worker again and again: {error}",
                 hint="look for too little memory or a full disk, then go on with --resume",
             ) from error
         finally:
-            client.cancel(futures)
+            client.cancel(list(waiting))
 
 
 def _make_part(plan: PartPlan, *, folder: Path, config: SynthConfig, manifest: Manifest) -> FrameReport:

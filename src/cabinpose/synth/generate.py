@@ -20,7 +20,7 @@ from cabinpose.store import create_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.frame_maker import FrameMaker
 from cabinpose.synth.preflight import preflight
-from cabinpose.synth.streams import check_seed
+from cabinpose.synth.streams import CHILD_STREAM, check_seed
 from cabinpose.synth.validate import Rejection, by_cause
 from cabinpose.synth.variables import build_manifest
 from cabinpose.synth.write import Content, FrameReport, make_frames
@@ -31,11 +31,11 @@ Existing = Literal["refuse", "resume", "overwrite"]
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is: frames on disk, the poses proposed and rejected in this run, and what is under way."""
+    """How far a run is: frames on disk, the poses (of sequences: and ways) judged and rejected in this run, what is under way."""
 
     frames_done: int
     frames_total: int
-    proposals: int
+    judged: int
     rejections: Mapping[Rejection, int]
     phase: Literal["checking the configuration", "preparing cars and people", "posing"]
 
@@ -44,7 +44,8 @@ class Progress:
 class GenerationReport:
     """What a run made. `frames` were made by this run, `frames_total` are in the dataset.
 
-    rejections: by cause · acceptance: accepted / proposed poses of people ·
+    proposals: poses of people that were drawn, and activities of sequences · judged: poses, and the ways of sequences between
+    them, of which it was said whether they hold · rejections: those that do not, by cause · acceptance: share of those that do ·
     stages_ms: mean milliseconds of CPU time a frame, by stage · content: this run's frames by car, view and style, its
     people by name and seat, the most frequent first · label_shift: the farthest that styling moved an edge (px) and the mean
     depth of a part (mm) in this run's styled frames.
@@ -56,6 +57,7 @@ class GenerationReport:
     seconds: float
     frames_per_s: float
     proposals: int
+    judged: int
     rejections: Mapping[str, int]
     acceptance: float
     stages_ms: Mapping[str, float]
@@ -128,6 +130,8 @@ def generate(
     """
     if frames < 1:
         raise ConfigError(f"cannot generate {frames} frames", hint="ask for at least 1 frame")
+    if frames > CHILD_STREAM:
+        raise ConfigError("a dataset has at most 2**61 frames", hint="ask for fewer")
     check_seed(seed)
     if isinstance(workers, int) and workers < 1:
         raise ConfigError(f"cannot work with {workers} workers", hint="ask for at least 1 worker")
@@ -152,7 +156,7 @@ def generate(
             reports = make_frames(folder, plans, manifest, maker, threads=workers or os.cpu_count() or 1)
         for report in reports:
             total.add(report)
-            tell(Progress(before + total.frames, frames, total.proposals, dict(total.rejections), "posing"))
+            tell(Progress(before + total.frames, frames, total.judged, dict(total.rejections), "posing"))
     return _summary(out, total, before, time.perf_counter() - started)
 
 
@@ -165,8 +169,9 @@ def _summary(out: Path, total: FrameReport, before: int, seconds: float) -> Gene
         seconds=seconds,
         frames_per_s=total.frames / seconds,
         proposals=total.proposals,
+        judged=total.judged,
         rejections=by_cause(total.rejections),
-        acceptance=1.0 - rejected / total.proposals if total.proposals else 1.0,
+        acceptance=1.0 - rejected / total.judged if total.judged else 1.0,
         content={kind: {n: c for (k, n), c in total.content.most_common() if k == kind} for kind in get_args(Content)},
         stages_ms={name: 1000 * s / total.frames for name, s in total.stage_seconds.items()} if total.frames else {},
         label_shift=total.label_shift,

@@ -108,6 +108,7 @@ class Posing:
                         return None
                     drawn[slot] = draw(slot)
                     attempts.proposals += 1
+                    attempts.judged += 1
                 angles = [*(d.wheel_angle for d in drawn.values()), *(given[slot].wheel_angle for slot in fixed)]
                 before = validator.turned(seated, next((a for a in angles if a is not None), seated.wheel_angle))
                 for slot in fixed:
@@ -144,7 +145,8 @@ class Posing:
                     # Of two who do not fit the one who was drawn less often is drawn anew.
                     met = refused.other
                     wanted.append(met if met in free and tries[met] < tries[slot] else slot)
-                wanted = list(dict.fromkeys(wanted))
+                refusals, wanted = len(wanted), list(dict.fromkeys(wanted))
+                attempts.judged += refusals - len(wanted)  # two in whose way one and the same person is
                 if not wanted:
                     break
             seated, sitting = after, [*around, *(d.sitter._replace(stand="fixed") for d in drawn.values())]

@@ -41,8 +41,8 @@ class RoomScenes:
             world_from_root = transform(axis_rotation("z", heading), spot) @ pose.floor_from_root
             posed = person.pose(pose.q, world_from_root)
             verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
+            attempts.judge(verdict.rejection)
             if verdict.rejection is None:
                 somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed, (posed.surface(1),))
                 return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", view)
-            attempts.rejections[verdict.rejection] += 1
         return None

@@ -46,7 +46,7 @@ class SceneSampler:
         for _ in range(self._limit):
             found = self._scenes.draw(index, attempts, rng=rng)
             if found is not None:
-                return replace(found, proposals=attempts.proposals, rejections=attempts.rejections)
+                return replace(found, proposals=attempts.proposals, judged=attempts.judged, rejections=attempts.rejections)
         raise ImpossibleSceneError(index, attempts, next(filter(is_car_file, self._plan.cabins.names), ""))
 
     def plan_sequence(self, number: int) -> None:

@@ -45,7 +45,7 @@ class Scene:
     backdrop: cabin or room (instance 0) · people · world_from_camera (4, 4) · place: car or room · pov: the view ·
     sequence, sync_ns: the sequence that it belongs to, and the time since its start; 0 where it is a scene of its own ·
     cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
-    proposals, rejections: how many poses were tried for it and why they failed · things: child seats and objects ·
+    proposals, judged, rejections: what was tried for it, see `Attempts` · things: child seats and objects ·
     fastenings: the belts that hold child seats.
     """
 
@@ -58,6 +58,7 @@ class Scene:
     settings: Mapping[str, SeatSetting] = field(default_factory=dict)
     wheel_angle: float = 0.0
     proposals: int = 0
+    judged: int = 0
     rejections: Mapping[Rejection, int] = field(default_factory=dict)
     things: tuple[PlacedThing, ...] = ()
     fastenings: tuple[Surface, ...] = ()
@@ -83,11 +84,20 @@ class Scene:
 
 @dataclass
 class Attempts:
-    """What was tried to find a scene. scenes: those drawn, in words · proposals: poses · rejections: why they failed."""
+    """What was tried to find a scene. scenes: those drawn, in words · proposals: poses, and activities of sequences ·
+    judged: poses, and ways of sequences, of which it was said whether they hold · rejections: those that do not, and why.
+    """
 
     scenes: list[str] = field(default_factory=list)
     proposals: int = 0
+    judged: int = 0
     rejections: Counter[Rejection] = field(default_factory=Counter)
+
+    def judge(self, refused: Rejection | None) -> None:
+        """Count a pose or way that was judged, and what is against it; None: it holds."""
+        self.judged += 1
+        if refused is not None:
+            self.rejections[refused] += 1
 
 
 class ImpossibleSceneError(SceneError):

@@ -32,13 +32,14 @@ _SWITCH_S = 0.0005
 
 @dataclass
 class FrameReport:
-    """What making some frames took. frames: written, without those skipped · proposals, rejections: poses of people ·
+    """What making some frames took. frames: written, without those skipped · proposals, judged, rejections: see `Attempts` ·
     stage_seconds: CPU time of the threads that made them · content: frames by car, view and style, people by name and seat ·
     label_shift: the farthest that styling moved an edge (px) and the mean depth of a part (mm), of styled frames.
     """
 
     frames: int = 0
     proposals: int = 0
+    judged: int = 0
     rejections: Counter[Rejection] = field(default_factory=Counter)
     stage_seconds: Counter[str] = field(default_factory=Counter)
     content: Counter[tuple[Content, str]] = field(default_factory=Counter)
@@ -48,6 +49,7 @@ class FrameReport:
         """Count another report in."""
         self.frames += other.frames
         self.proposals += other.proposals
+        self.judged += other.judged
         self.rejections.update(other.rejections)
         self.stage_seconds.update(other.stage_seconds)
         self.content.update(other.content)
@@ -103,14 +105,16 @@ def make_frames(
         except ImpossibleSceneError as error:
             if not mine.config.may_skip:
                 raise
-            return _Made(None, FrameReport(0, error.attempts.proposals, error.attempts.rejections, Counter(mine.seconds)))
+            tried = error.attempts
+            return _Made(None, FrameReport(0, tried.proposals, tried.judged, tried.rejections, Counter(mine.seconds)))
         with mine.stage("write"):
             encoded = encode_frame(frame, index, manifest)
         content, shift = _content(scene), {}
         if "style" in frame:
             content["styles", frame["style"]] = 1
             shift = {name: frame[f"style_{name}"] for name in ("edge_px", "part_mm")} if frame["style"] != LEFT else {}
-        return _Made(encoded, FrameReport(1, scene.proposals, Counter(scene.rejections), Counter(mine.seconds), content, shift))
+        seconds, rejections = Counter(mine.seconds), Counter(scene.rejections)
+        return _Made(encoded, FrameReport(1, scene.proposals, scene.judged, rejections, seconds, content, shift))
 
     # One thread each: the libraries' results, and with them the bytes on disk, may depend on their number of threads.
     with threadpool_limits(1), closing(_in_order(make, chain.from_iterable(map(_frames, plans)), threads, before)) as results:

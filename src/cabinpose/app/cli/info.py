@@ -104,8 +104,11 @@ def _dataset_rows(s: DatasetSummary) -> list[tuple[str, str]]:
         ("joints", ", ".join(f"{name.replace('_', ' ')} {100 * n / joints:.1f} %" for name, n in s.visibility.items())),
     ]
     if s.proposals:  # of generated datasets alone
-        rejected = listed(s.rejections) or "none"
-        rows.append(("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; rejected: {rejected}"))
+        rejected = f"rejected: {listed(s.rejections) or 'none'}"
+        if s.acceptance is None:
+            rows.append(("proposed", f"{s.proposals} poses and activities; {rejected}"))
+        else:
+            rows.append(("acceptance", f"{100 * s.acceptance:.1f} % of {s.proposals} poses; {rejected}"))
     return rows
 
 

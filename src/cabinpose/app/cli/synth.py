@@ -68,6 +68,7 @@ def run(command: Synth) -> None:
     styled = () if command.style is None else (f"style.by={json.dumps(str(command.style.resolve()))}",)
     config = SynthConfig.load(command.config, (*command.overrides, *styled))
     frames = config.frames_or_all(command.frames)
+    judged = "poses" if config.scene.sequence is None else "poses and ways"
     with progress(frames, "frames", start=_frames_there(command)) as report:
         warn_at = _FEW_POSES
 
@@ -76,10 +77,10 @@ def run(command: Synth) -> None:
             if state.phase != "posing":
                 report.phase(state.phase)
                 return
-            accepted = state.proposals - sum(state.rejections.values())
-            report(state.frames_done, f"{accepted} poses accepted, {state.proposals - accepted} rejected")
-            if state.proposals >= warn_at and accepted < _HARDLY_ANY * state.proposals:
-                warn_at = 4 * state.proposals
+            accepted = state.judged - sum(state.rejections.values())
+            report(state.frames_done, f"{accepted} {judged} accepted, {state.judged - accepted} rejected")
+            if state.judged >= warn_at and accepted < _HARDLY_ANY * state.judged:
+                warn_at = 4 * state.judged
                 _warn_of_rejections(state, accepted)
 
         existing: Existing = "resume" if command.resume else "overwrite" if command.overwrite else "refuse"
@@ -93,7 +94,7 @@ def run(command: Synth) -> None:
         [
             ("dataset", f"{command.out} ({result.frames_total} frames, {result.frames} made now)"),
             ("speed", f"{result.frames_per_s:.1f} frames/s, {result.seconds:.1f} s"),
-            ("acceptance", f"{100 * result.acceptance:.1f} % of {result.proposals} poses; rejected: {causes}"),
+            ("acceptance", f"{100 * result.acceptance:.1f} % of {result.judged} {judged}; rejected: {causes}"),
             ("ms a frame", ", ".join(f"{name} {ms:.2f}" for name, ms in result.stages_ms.items()) or "nothing was left to make"),
             *((name, listed(counts, most=8)) for name, counts in result.content.items() if counts),
             *([("styling moved", _shift(result.label_shift))] if result.label_shift else ()),
@@ -110,7 +111,7 @@ def _warn_of_rejections(state: Progress, accepted: int) -> None:
     from cabinpose.synth import most_common
 
     causes = most_common(state.rejections, 3)
-    print(f"only {100.0 * accepted / state.proposals:.1f} % of the poses hold: {causes}", file=sys.stderr)
+    print(f"only {100.0 * accepted / state.judged:.1f} % of the poses hold: {causes}", file=sys.stderr)
 
 
 def _frames_there(command: Synth) -> int:
@@ -119,4 +120,4 @@ def _frames_there(command: Synth) -> int:
 
     if not command.resume or not (command.out / MANIFEST_NAME).exists():
         return 0
-    return sum(plan.frames for plan in read_manifest(command.out).parts if (command.out / plan.name).is_dir())
+    return sum(plan.frames for plan in read_manifest(command.out).parts_in(command.out))

@@ -102,8 +102,9 @@ class Workspace:
             there = _parts(self.folder)
             if lost := self._parts - there:
                 raise DatasetError(f"{self.folder} has lost {min(lost)}", hint=_VANISHED)
-            plans = {plan.name: plan.frames for plan in self.manifest.parts}
-            self._seen, self._grown = seen, sum(plans[name] for name in there - self._parts if name in plans)
+            new = there - self._parts
+            grown = sum(plan.frames for plan in self.manifest.parts_in(self.folder) if plan.name in new)
+            self._seen, self._grown = seen, grown
         return self._grown
 
     def trouble(self) -> CabinposeError | None:

@@ -23,6 +23,7 @@ class DatasetSummary:
     """A dataset in numbers; counts are frames, except `rejections` and `proposals` (poses) and `visibility` (joints).
 
     The `by_…` counts, `visibility` and the depths are those of the `selected` frames, all else is of the whole dataset.
+    acceptance: share of the poses that hold; None for sequences, of which the file does not say how many ways were judged ·
     depth_histogram: share of the valid pixels of a sample of frames in bins of 50 mm from 0 m.
     """
 
@@ -48,7 +49,7 @@ class DatasetSummary:
     visibility: Mapping[str, int]
     proposals: int
     rejections: Mapping[str, int]
-    acceptance: float
+    acceptance: float | None
     valid_pixels: float
     depth_histogram: tuple[float, ...]
 
@@ -70,7 +71,7 @@ def summarise(whole: xr.Dataset, manifest: Manifest, folder: Path, dataset: xr.D
         frames=whole.sizes["frame"],
         selected=dataset.sizes["frame"],
         planned_frames=manifest.frames,
-        parts=sum((folder / plan.name).is_dir() for plan in manifest.parts),
+        parts=len(manifest.parts_in(folder)),
         planned_parts=len(manifest.parts),
         bytes_on_disk=sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
         width=manifest.width,
@@ -85,10 +86,14 @@ def summarise(whole: xr.Dataset, manifest: Manifest, folder: Path, dataset: xr.D
         visibility={state.name.lower(): int(visibility[state]) for state in Visibility if state != Visibility.ABSENT},
         proposals=proposals,
         rejections=rejections,
-        acceptance=1 - sum(rejections.values()) / proposals if proposals else 1.0,
+        acceptance=None if (manifest.config.get("scene") or {}).get("sequence") else _acceptance(proposals, rejections),
         valid_pixels=valid,
         depth_histogram=histogram,
     )
+
+
+def _acceptance(proposals: int, rejections: Mapping[str, int]) -> float:
+    return 1 - sum(rejections.values()) / proposals if proposals else 1.0
 
 
 def spread(total: int, count: int) -> NDArray[np.int64]:

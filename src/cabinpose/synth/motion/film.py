@@ -94,8 +94,9 @@ class Films:
         shown = self._scenes.assembled(film.cast, people, film.wheel_angle(time_s), things, film.viewpoint, rng=rng)
         counted = film.attempts if frame == 0 else Attempts()
         return replace(
-            shown, proposals=counted.proposals, rejections=counted.rejections, sequence=number, sync_ns=round(1e9 * time_s)
-        )
+            shown, proposals=counted.proposals, judged=counted.judged, rejections=counted.rejections, sequence=number,
+            sync_ns=round(1e9 * time_s),
+        )  # fmt: skip
 
     def exposed(self, index: int, scene: Scene, times_s: Floats) -> Sequence[Scene]:
         """The scene of frame `index` at some times (S,) s before and after its own.

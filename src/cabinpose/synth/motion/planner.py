@@ -7,7 +7,6 @@ the way.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,6 +26,7 @@ from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
+from cabinpose.synth.scene import Attempts
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
@@ -138,12 +138,12 @@ def _coarse_first(count: int) -> list[int]:
 
 
 class Planner:
-    """Plans the motion of one person; `causes` counts what was in the way, in place."""
+    """Plans the motion of one person; `attempts` counts the poses and ways that are judged, in place."""
 
     def __init__(
-        self, who: Somebody, around: Surroundings, causes: Counter[Rejection], *, lasts_s: float, rng: np.random.Generator
+        self, who: Somebody, around: Surroundings, attempts: Attempts, *, lasts_s: float, rng: np.random.Generator
     ) -> None:
-        self._who, self._around, self._causes, self._rng, self._lasts_s = who, around, causes, rng, lasts_s
+        self._who, self._around, self._attempts, self._rng, self._lasts_s = who, around, attempts, rng, lasts_s
         sigma, low, high = _TEMPO
         self._tempo = float(np.clip(np.exp(sigma * rng.standard_normal()), low, high))
         self.tried = 0
@@ -162,9 +162,9 @@ class Planner:
             times = np.linspace(0.0, 1.0 / self._track.idle.breath_hz, _BREATHS).tolist()
             verdicts = (self._around.verdict(self._who.slot, self._who.person, self._track.at(t), t) for t in times)
             reason = next((v.rejection for v in verdicts if v.rejection is not None), None)
+            self._attempts.judge(reason)
             if reason is None:
                 return True
-            self._causes[reason] += 1
         return False
 
     def advance(self) -> bool:
@@ -225,10 +225,11 @@ class Planner:
             track.segments.append(Segment(time_s, lasts_s, way, activity))
             reason = self._refused(time_s, min(time_s + lasts_s + hold_s, self._lasts_s))
             if reason is None:
+                self._attempts.judge(None)
                 return goal, time_s + lasts_s + hold_s
             track.segments.pop()
         if reason is not None:
-            self._causes[reason] += 1
+            self._attempts.judge(reason)
         return None
 
     def _way(self, now: _Goal, goal: _Goal, interior: int, time_s: float, tempo: float) -> tuple[CubicSpline, float] | None:
@@ -295,8 +296,8 @@ class Planner:
         refused = self._pass_on(other, held, change_s)
         for planner in (self, other):
             refused = refused or planner._refused(planner.time_s, min(until_s, self._lasts_s))
+        self._attempts.judge(refused)
         if refused is not None:
-            self._causes[refused] += 1
             return None
         # It is drawn out of the open hand, which goes back afterwards as it came.
         takes = takes._replace(via=other._aside(takes, free, until_s, _ASIDE_M * out[:3, 2]))
@@ -306,15 +307,15 @@ class Planner:
         leave_s = until_s + _LINGERS_S
         self._track.segments.append(Segment(leave_s, way[1], way_through(way[0](way[0].x)[::-1]), "hand_over"))
         refused = self._refused(until_s, min(leave_s + way[1], self._lasts_s))
+        self._attempts.judge(refused)
         if refused is not None:
-            self._causes[refused] += 1
             return None
         return (now[0], leave_s + way[1]), end
 
     def _brought(self, goal: _Goal, now: _Goal, interior: int, time_s: float, label: str) -> tuple[CubicSpline, float] | None:
         found = self._way(now, goal, max(interior, _led(now, goal) * _INTERIOR[1]), time_s, _HASTE * self._tempo)
         if found is None:
-            self._causes[Rejection("way", self._who.slot, label)] += 1
+            self._attempts.judge(Rejection("way", self._who.slot, label))
         return found
 
     def _rest(self, held: Hold) -> Step:
@@ -362,12 +363,12 @@ class Planner:
         placed = self._around.empty(angle).placed
         (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
         if found.refused:
-            self._causes[Rejection("reach", self._who.slot, found.refused, found.held_up_by)] += 1
+            self._attempts.judge(Rejection("reach", self._who.slot, found.refused, found.held_up_by))
             return None
         pose = Pose(found.q, found.vehicle_from_root, angle)
         rejection = self._around.verdict(self._who.slot, self._who.person, pose, time_s).rejection
+        self._attempts.judge(rejection)
         if rejection is not None:
-            self._causes[rejection] += 1
             return None
         return _Goal(pose, drawn.sitter.holds)
 

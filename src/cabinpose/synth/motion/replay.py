@@ -8,7 +8,6 @@ judged at thrice the frame rate as every motion is.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from cabinpose.synth.motion.minimum_jerk import FASTEST
 from cabinpose.synth.motion.planner import Somebody, Surroundings
 from cabinpose.synth.motion.track import FASTEST_STATE, Segment, Track
 from cabinpose.synth.posture.sampling import settled
+from cabinpose.synth.scene import Attempts
 from cabinpose.synth.validate import Rejection
 
 _KNOT_S = 0.1
@@ -28,7 +28,7 @@ _MOVES = 0.5  # of the poses, at the least, for which the body does not wait
 _STEPS = (1.0, 0.3, 0.0)  # of the way to the recorded pose, one after the other, until it is free
 
 
-def replay(who: Somebody, around: Surroundings, causes: Counter[Rejection], *, action: str, lasts_s: float) -> bool:
+def replay(who: Somebody, around: Surroundings, attempts: Attempts, *, action: str, lasts_s: float) -> bool:
     """Let somebody follow a recording for a time, from the pose that `around` has of it.
 
     Parameters
@@ -37,8 +37,8 @@ def replay(who: Somebody, around: Surroundings, causes: Counter[Rejection], *, a
         Who moves; `draw` gives the recorded posture of a time.
     around
         The car and everybody; the track in it is what is planned.
-    causes
-        Counts what was in the way, in place.
+    attempts
+        Counts the pieces of the way that were judged and what was in the way, in place.
     action
         What is drawn; the recording stands in its place.
     lasts_s
@@ -63,17 +63,17 @@ def replay(who: Somebody, around: Surroundings, causes: Counter[Rejection], *, a
         track.segments[:] = [Segment(0.0, times_s[-1], PchipInterpolator(times_s, np.stack(knots)), RECORDED, evenly=True)]
         ends_s = min(_KNOT_S * (free + 1), lasts_s)
         rejection = around.first_refused(who.slot, who.person, _KNOT_S * free, ends_s)
+        attempts.judge(rejection)
         if rejection is None:
             free += 1
             continue
-        causes[rejection] += 1
         given_up[free + 1] = steps[free + 1] + 1
         if given_up[free + 1] == len(_STEPS):
             return False
         del knots[free + 1 :], steps[free + 1 :]
         free = max(0, free - 1)
     if steps.count(len(_STEPS) - 1) > (1.0 - _MOVES) * len(steps):
-        causes[Rejection("way", who.slot, RECORDED)] += 1
+        attempts.judge(Rejection("way", who.slot, RECORDED))
         return False
     return True
 

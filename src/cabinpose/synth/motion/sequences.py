@@ -117,7 +117,7 @@ def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attemp
             followers.append(who)
         else:
             around.people[slot] = people[slot], Track(start, actions[slot], Idle.drawn(rng=plans[slot]), 0.0, holds[slot])
-            planners[slot] = Planner(who, around, attempts.rejections, lasts_s=lasts_s, rng=plans[slot])
+            planners[slot] = Planner(who, around, attempts, lasts_s=lasts_s, rng=plans[slot])
     around.partners = {slot: planner for slot, planner in planners.items() if slot in choices.free}
     # One after the other: those whose motion is planned are known over time, the others sit still. Where things are handed over
     # all go on together, so that nobody is far ahead of who waits.
@@ -125,7 +125,7 @@ def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attemp
     if followers:
         from cabinpose.synth.motion.replay import replay  # noqa: PLC0415 - scipy's interpolation, for recordings alone
     for who in followers:
-        if not replay(who, around, attempts.rejections, action=actions[who.slot], lasts_s=lasts_s):
+        if not replay(who, around, attempts, action=actions[who.slot], lasts_s=lasts_s):
             return None
     possible = all(planner.breathe() for planner in planners.values())
     while possible and (moving := [planner for planner in planners.values() if planner.time_s < lasts_s]):
