@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
+from cabinpose.align.calibration import Intrinsics
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
+from cabinpose.core.intrinsics import fit_camera
+from cabinpose.record.sources.tof.camera import Lens
+from cabinpose.scene.sensor import SENSORS, Sensor
+from cabinpose.store.convert.format import ImportOptions
+from cabinpose.store.convert.ntu import KINECT_V2
+from cabinpose.store.convert.reading import given_camera
 
 PLAIN = Camera(320, 240, 285.714, 285.714, 160.0, 120.0)
 BARREL = Camera(352, 287, 173.6, 173.6, 175.5, 143.0, (-0.133684, 0.02, 0.0, 0.0, 0.0))
@@ -116,9 +126,80 @@ def test_itops_intrinsics() -> None:
     np.testing.assert_allclose(point, ((200 - 160) * 2.5 * 0.0035, -(120 - 90) * 2.5 * 0.0035, 2.5), rtol=1e-5)
 
 
-@pytest.mark.parametrize("bad", [{"width": 0}, {"height": -1}, {"fx": 0.0}, {"fy": float("nan")}])
+@pytest.mark.parametrize(
+    "bad", [{"width": 0}, {"height": -1}, {"fx": 0.0}, {"fy": float("nan")}, {"fx": float("inf")}, {"cx": float("inf")}]
+)
 def test_impossible_cameras_are_refused(bad: dict[str, float]) -> None:
     good: dict[str, float] = {"width": 4, "height": 4, "fx": 2.0, "fy": 2.0, "cx": 1.5, "cy": 1.5}
     with pytest.raises(ConfigError) as error:
         Camera(**(good | bad))  # type: ignore[arg-type]
     assert error.value.hint
+
+
+MONSTAR = {"width": 352, "height": 287, "fx": 173.6, "fy": 173.6, "cx": 175.5, "cy": 143.0}
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"fx": 1e9, "fy": 1e9}, "a field of view of 2.02e-05 x"),
+        ({"fx": 1e-3}, "a field of view of 180 x"),
+        ({"cx": 1e6}, r"the principal point 1e\+06, 143 is far outside"),
+        ({"cy": -300.0}, "far outside the 352x287 image"),
+        ({"dist": (1e6, 0.0, 0.0, 0.0, 0.0)}, "moves rays to 0.0084 to 0.045 times"),
+        ({"dist": (-5.0, 0.0, 0.0, 0.0, 0.0)}, "only 3 % of the pixels have a ray"),
+        ({"dist": (0.0, 0.0, 1e3, 0.0, 0.0)}, "of the pixels have a ray"),
+        ({"dist": (0.0, 0.0, 0.0, 0.0, -5.0)}, "only 17 % of the pixels have a ray"),
+    ],
+)
+def test_what_no_lens_is_is_refused(bad: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=f"^mine: .*{message}") as error:
+        Camera(**(MONSTAR | bad)).check_lens("mine")
+    assert error.value.hint
+
+
+def test_lenses_that_there_are_are_taken() -> None:
+    """Presets, Kinect v2, strong barrels and pincushions, a fisheye by its own points, an image cut out of another."""
+    for camera in (*(SENSORS[name].camera for name in SENSORS.names()), KINECT_V2, PLAIN, BARREL, FULL):
+        camera.check_lens("")
+    for k1, k2 in ((-0.35, 0.12), (-0.28, 0.07), (0.2, -0.1), (0.3, 0.5)):
+        Camera(**MONSTAR, dist=(k1, k2, 0.001, -0.001, 0.0)).check_lens("")  # type: ignore[arg-type]
+    u, v = np.meshgrid(np.arange(512.0) - 255.5, np.arange(512.0) - 255.5)
+    angle = np.hypot(u, v) * np.radians(60.0) / 256  # equidistant: 120 degrees in the image circle
+    field = np.where(angle < np.radians(60.0), np.tan(angle) / np.maximum(np.hypot(u, v), 1e-9), np.nan)
+    fitted = fit_camera(np.stack((u * field, v * field), axis=-1))
+    assert fitted is not None
+    fitted.camera.check_lens("")
+    Camera(64, 48, 170.0, 170.0, -20.0, 60.0).check_lens("")
+
+
+def test_a_ray_ends_where_the_polynomial_folds() -> None:
+    """Beyond it the polynomial has roots again, on the other side of the axis."""
+    folding = Camera(**MONSTAR, dist=(-5.0, 0.0, 0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    assert folding.monotonic_radius == pytest.approx(1 / np.sqrt(15.0))
+    rays = folding.rays[np.isfinite(folding.rays[..., 0])]
+    v, u = np.nonzero(np.isfinite(folding.rays[..., 0]))
+    assert np.linalg.norm(rays, axis=-1).max() <= 1.02 * folding.monotonic_radius
+    assert (np.sum(rays * np.stack((u - 175.5, v - 143.0), axis=-1), axis=-1) >= 0.0).all()
+    assert BARREL.monotonic_radius == np.inf
+    r = np.linspace(0.0, 4.0, 400_001)
+    for dist in ((-0.2, 0.0, 0.0, 0.0, 0.0), (-0.28, 0.09, 0.0, 0.0, -0.01), (0.1, -0.05, 0.0, 0.0, 0.0)):
+        lens = Camera(**MONSTAR, dist=dist)  # type: ignore[arg-type]
+        falls = np.diff(lens.distort(np.stack((r, 0 * r), axis=-1))[:, 0]) < 0
+        assert lens.monotonic_radius == pytest.approx(r[np.argmax(falls)], abs=3e-5)
+
+
+def test_a_lens_is_looked_at_wherever_one_is_given() -> None:
+    """Sensors, calibrations, rigs and imports."""
+    bent = (1e6, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(ConfigError, match="sensor 'x': distortion"):
+        Sensor.model_validate(SENSORS["evk75023"].model_dump() | {"name": "x", "camera": MONSTAR | {"dist": bent}})
+    with pytest.raises(ConfigError, match="intrinsics: distortion"):
+        Intrinsics(**MONSTAR, dist=bent)
+    lens = Lens(fx=173.0, fy=173.0, cx=1e6, cy=143.0)
+    with pytest.raises(ConfigError, match="lens: the principal point"):
+        lens.camera(352, 287)
+    with pytest.raises(ValidationError, match="finite"):
+        Lens(fx=float("inf"), fy=173.0, cx=0.0, cy=143.0)
+    with pytest.raises(ConfigError, match="--intrinsics: the principal point"):
+        given_camera(ImportOptions(intrinsics=(173.0, 173.0, 1e6, 143.0)), (352, 287))

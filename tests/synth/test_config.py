@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from cabinpose.core.errors import ConfigError
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
 from cabinpose.synth.people import People
+from cabinpose.synth.preflight import available_memory, preflight
 from cabinpose.synth.streams import frame_rng
 
 
@@ -167,3 +169,25 @@ def test_frame_generators_differ_and_repeat() -> None:
     assert len(set(draws.values())) == 4
     assert draws[0, 1] == frame_rng(0, 1).random(4).tobytes()
     assert frame_rng(0, 2**64 - 1).random() != np.float64(0)
+
+
+def test_images_that_need_more_memory_than_there_is_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the peaks in MB of `cabinpose synth --workers N scene.cars=[coupe]`, two frames a worker, on x86-64."""
+    peaks = {(1000, 800, 4, 1): 878, (1000, 800, 4, 2): 1108, (2000, 1500, 1, 1): 611, (2000, 1500, 1, 2): 975,
+             (2000, 1500, 2, 1): 1067, (2000, 1500, 2, 2): 1422, (2000, 1500, 2, 3): 1854}  # fmt: skip
+    for (width, height, samples, workers), peak in peaks.items():
+        focal = 0.5 * width
+        camera = {"width": width, "height": height, "fx": focal, "fy": focal, "cx": width / 2, "cy": height / 2}
+        sensor = {"preset": "evk75023", "camera": camera}
+        config = SynthConfig.parse({"scene": {"cars": ["coupe"]}, "camera": {"sensor": sensor, "supersample": samples}})
+        monkeypatch.setattr(import_module("cabinpose.synth.preflight"), "available_memory", lambda peak=peak: 1.15e6 * peak)
+        preflight(config, frames=1, workers=workers)
+        monkeypatch.setattr(import_module("cabinpose.synth.preflight"), "available_memory", lambda peak=peak: 0.9e6 * peak)
+        with pytest.raises(ConfigError, match=f"{width}x{height} px, with {samples**2} samples in each and {workers}") as error:
+            preflight(config, frames=1, workers=workers)
+        assert all(word in (error.value.hint or "") for word in ("pixels", "camera.supersample", "--workers"))
+
+
+def test_available_memory_is_what_the_kernel_says() -> None:
+    psutil = pytest.importorskip("psutil")
+    assert available_memory() == pytest.approx(psutil.virtual_memory().available, rel=0.1)

@@ -47,6 +47,11 @@ class Intrinsics(_Model):
     rms_px: Annotated[float | None, Field(description="reprojection error of the views fitted")] = None
     held_out_px: Annotated[float | None, Field(description="reprojection error of views that were held out")] = None
 
+    def model_post_init(self, context: object, /) -> None:
+        """Refuses what no lens is."""
+        del context
+        self.camera.check_lens("intrinsics")
+
     @property
     def camera(self) -> Camera:
         """The camera model."""

@@ -137,7 +137,8 @@ def generate(
         raise ConfigError(f"cannot work with {workers} workers", hint="ask for at least 1 worker")
     tell = progress or (lambda _: None)
     tell(Progress(0, frames, 0, {}, "checking the configuration"))
-    preflight(config, frames=frames)
+    threads = 1 if isinstance(workers, str) else workers or os.cpu_count() or 1
+    preflight(config, frames=frames, workers=threads)
     manifest = build_manifest(config, frames, seed)
     started = time.perf_counter()
     total = FrameReport()
@@ -153,7 +154,7 @@ def generate(
             reports = make_parts(folder, plans, config, manifest, workers)
         else:
             maker = FrameMaker(config, seed)
-            reports = make_frames(folder, plans, manifest, maker, threads=workers or os.cpu_count() or 1)
+            reports = make_frames(folder, plans, manifest, maker, threads=threads)
         for report in reports:
             total.add(report)
             tell(Progress(before + total.frames, frames, total.judged, dict(total.rejections), "posing"))

@@ -89,6 +89,7 @@ class Sensor(BaseModel):
     def model_post_init(self, context: object, /) -> None:
         """Checks that fields fit each other."""
         del context
+        self.camera.check_lens(f"sensor '{self.name}'")
         near, far = self.range_m
         if not 0 <= near < far:
             raise ConfigError(

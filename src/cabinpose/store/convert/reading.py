@@ -50,7 +50,11 @@ def _matches(name: str, pattern: str) -> bool:
 
 def given_camera(options: ImportOptions, size: tuple[int, int]) -> Camera | None:
     """The camera that the user gave, for images of a size (width, height)."""
-    return Camera(*size, *options.intrinsics) if options.intrinsics is not None else None
+    if options.intrinsics is None:
+        return None
+    camera = Camera(*size, *options.intrinsics)
+    camera.check_lens("--intrinsics")
+    return camera
 
 
 class Origin(NamedTuple):

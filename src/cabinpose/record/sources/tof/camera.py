@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -27,7 +28,7 @@ class MalformedFrameError(ValueError):
 class Lens(BaseModel):
     """Intrinsics that the user knows better than the camera: px, OpenCV's distortion."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     fx: float = Field(gt=0, description="focal length, px")
     fy: float = Field(gt=0, description="focal length, px")
     cx: float = Field(description="principal point, px; an integer is a pixel's centre")
@@ -36,7 +37,14 @@ class Lens(BaseModel):
 
     def camera(self, width: int, height: int) -> Camera:
         """The camera of images of a size."""
-        return Camera(width, height, self.fx, self.fy, self.cx, self.cy, self.dist)
+        return _checked(Camera(width, height, self.fx, self.fy, self.cx, self.cy, self.dist))
+
+
+@lru_cache(maxsize=16)
+def _checked(camera: Camera) -> Camera:
+    """The camera itself, or ConfigError where no lens is like that; worked out once, not with every frame."""
+    camera.check_lens("lens")
+    return camera
 
 
 class CameraSettings(BaseModel):
