@@ -179,7 +179,7 @@ def test_frames_are_recorded_meanwhile(tmp_path: Path) -> None:
 
 def test_camera_that_falls_silent_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = Camera(5, 0.01)
-    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda names: [Model()])
+    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda *_: [Model()])
     monkeypatch.setattr("cabinpose.app.live.choose.open_feed", lambda *_, **__: LatestFrame(camera_rig(camera)))
     outcome = run("live", "--source", "simulated", "--duration", 4)
     assert outcome.code == 1
@@ -200,7 +200,7 @@ def test_asking_waits_no_longer_than_it_must() -> None:
 
 def test_an_sdk_that_is_not_installed_is_named_with_the_remedy(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
-    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda names: [Model()])
+    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda *_: [Model()])
     outcome = run("live", "--source", "orbbec")
     assert outcome.code == 2
     assert outcome.err == (

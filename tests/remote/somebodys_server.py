@@ -10,7 +10,7 @@ from tritonclient.grpc import service_pb2, service_pb2_grpc
 
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.estimate.remote.messages import add_tensors
-from cabinpose.estimate.remote.tensors import INPUTS, OUTPUTS
+from cabinpose.estimate.remote.tensors import OUTPUTS, USUAL
 
 SIZE = (48, 64)
 PERSONS, JOINTS = ("driver", "front_passenger"), ("head", "lhand", "rhand")
@@ -57,7 +57,7 @@ class Algorithm(service_pb2_grpc.GRPCInferenceServiceServicer):
     def __init__(self, answer: Callable[[Any], Any] = good_answer) -> None:
         self.answer, self.requests = answer, list[Any]()
         self.outputs: Callable[[Any], dict[str, Any]] = good_answer
-        self.inputs = [spec.name for spec in INPUTS]
+        self.inputs = [*USUAL, "points"]
         self.platform = ""
 
     def ModelMetadata(self, request: Any, context: Any) -> Any:  # noqa: N802 - gRPC's name

@@ -16,12 +16,14 @@ from cabinpose.evaluate import check_predictions
 from cabinpose.store import Predictions, image_names, read_predictions
 
 TRUTH = "truth"
+_FILES = (".jsonl", ".parquet")  # of predictions
 Model = Predictions | Predictor | Segmenter
 
 
 def opened_models(
-    names: Sequence[str], dataset: xr.Dataset, joints_from: str | None = None, dataset_names: Sequence[str] = ()
-) -> list[Model]:
+    names: Sequence[str], dataset: xr.Dataset, joints_from: str | None = None, dataset_names: Sequence[str] = (),
+    images: Sequence[str] = (),
+) -> list[Model]:  # fmt: skip
     """The models that these names stand for; a lifting model becomes what it says of the dataset, or of another model's joints.
 
     Parameters
@@ -35,35 +37,49 @@ def opened_models(
         file, or the name of another model.
     dataset_names
         What a predictions file may call the dataset.
+    images
+        Those that models on servers are given; default: the ones that they list.
 
     Raises
     ------
     ConfigError
-        For a source of 2D joints without a lifting model, or one that shares no joint with it.
+        For a source of 2D joints without a lifting model, or one that shares no joint with it; for images without a server.
     DatasetError
         For a model that reads an image that the dataset does not have.
     """
-    models = [_opened(name) for name in names]
+    check_chosen(images, [*names, joints_from or TRUTH])
+    models = [_opened(name, images) for name in names]
     require_images([model for model in models if not isinstance(model, Lifter)], image_names(dataset), "the dataset")
     if joints_from is not None and not any(isinstance(model, Lifter) for model in models):
         raise ConfigError("--from says where 2D joints to lift come from, and no model lifts", hint="leave out --from")
     source = joints_from or TRUTH
+    if source != TRUTH and Path(source).suffix not in _FILES:
+        base = open_predictor(source, images if source.startswith(SCHEME) else ())
+        require_images([base], image_names(dataset), "the dataset")
+        return [LiftedPredictor(base, m) if isinstance(m, Lifter) else m for m in models]
     return [_fed(m, dataset, source, dataset_names) if isinstance(m, Lifter) else m for m in models]
 
 
-def _opened(name: str) -> Predictor | Segmenter | Lifter:
-    return open_predictor(name) if name.startswith(SCHEME) else open_model(name)
+def check_chosen(images: Sequence[str], models: Sequence[str]) -> None:
+    """Raise ConfigError where images are chosen and none of the models is on a server."""
+    if images and not any(name.startswith(SCHEME) for name in models):
+        raise ConfigError(
+            f"--images {' '.join(images)} is for models on servers: ours read what they were trained on",
+            hint="leave out --images, or name a model as grpc://HOST:PORT/MODEL",
+        )
 
 
-def _fed(lifting: Lifter, dataset: xr.Dataset, source: str, dataset_names: Sequence[str]) -> Predictions | Predictor:
-    """A lifting model with its 2D joints."""
+def _opened(name: str, images: Sequence[str]) -> Predictor | Segmenter | Lifter:
+    return open_predictor(name, images) if name.startswith(SCHEME) else open_model(name)
+
+
+def _fed(lifting: Lifter, dataset: xr.Dataset, source: str, dataset_names: Sequence[str]) -> Predictions:
+    """What a lifting model says of 2D joints of the dataset or of a file."""
     if source == TRUTH:
         base = _truth_2d(dataset)
-    elif Path(source).suffix in (".jsonl", ".parquet"):
+    else:
         base = read_predictions(source)
         check_predictions(base, dataset, dataset_names)
-    else:
-        return LiftedPredictor(open_predictor(source), lifting)
     numbers = dataset["frame"].values.astype(np.int64)
     found = lifted(base.take(numbers), base.joints, _cameras(dataset), lifting, base.model)
     if source == TRUTH:  # true positions in the image are no answer

@@ -13,7 +13,7 @@ import numpy as np
 from tritonclient.grpc import service_pb2, service_pb2_grpc
 
 import cabinpose
-from cabinpose.core import CabinposeError, FrameBatch, Predictor, RemoteError
+from cabinpose.core import CabinposeError, FrameBatch, Predictor, RemoteError, images_of
 from cabinpose.estimate import JointPredictor
 from cabinpose.estimate.remote import (
     EXTENSION,
@@ -44,8 +44,10 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
         self.regions = ServerRegions()
         self._predictor, self._name, self._shared_memory = predictor, name, shared_memory
         self._turn = threading.Lock()
-        light = "amplitude" in predictor.config.inputs if isinstance(predictor, JointPredictor) else True
-        self._inputs = tuple(s for s in INPUTS if s.name != "points" and (light or s.name != "amplitude"))
+        reads = {"depth", "camera_k", "camera_dist", *images_of(predictor)}
+        if not isinstance(predictor, JointPredictor):
+            reads.add("amplitude")
+        self._inputs = tuple(spec for spec in INPUTS if spec.name in reads)
         self._names = {
             "person_names": np.array(predictor.persons, object), "joint_names": np.array(predictor.joints, object)
         }  # fmt: skip
@@ -80,7 +82,7 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
         response = service_pb2.ModelInferResponse(model_name=self._name, model_version=_MODEL_VERSION, id=request.id)
         try:
             tensors = read_tensors(request.inputs, request.raw_input_contents, self._inputs, read=read)
-            self._put(response, self._answer(_frames(tensors), context), request.outputs)
+            self._put(response, self._answer(_frames(tensors, self._predictor), context), request.outputs)
         except TensorError as error:
             self._refuse(context, str(error))
         except CabinposeError as error:
@@ -163,10 +165,10 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
         context.abort(grpc.StatusCode.INVALID_ARGUMENT, message)
 
 
-def _frames(tensors: Arrays) -> FrameBatch:
+def _frames(tensors: Arrays, predictor: Predictor) -> FrameBatch:
     """A request's tensors as frames of a camera. Raises TensorError for what is missing, and cameras that are none."""
-    for spec in INPUTS:
-        if spec.required and spec.name not in tensors:
+    for spec in INPUTS:  # our models say in their own words that they read amplitudes
+        if spec.name not in tensors and (spec.required or (spec.name in images_of(predictor) and spec.name != "amplitude")):
             raise TensorError(f"{spec.name} is missing")
     k = tensors["camera_k"]
     frames = {"camera_dist": np.zeros((len(k), 5))} | dict(tensors)

@@ -15,7 +15,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from cabinpose.core import Camera, ConfigError, FrameBatch, ModelError
+from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, camera_of
@@ -131,10 +131,15 @@ def slices(count: int) -> list[slice]:
     return [slice(i, i + BATCH) for i in range(0, max(count, 1), BATCH)]
 
 
+def image_in(frames: FrameBatch) -> NDArray[Any]:
+    """(N, H, W, ...) an image of the frames, for their number and size: the depth, or another where there is none."""
+    image: NDArray[Any] = next(frames[name] for name in IMAGES if name in frames)  # type: ignore[literal-required]
+    return image
+
+
 def cameras_of(frames: FrameBatch, which: slice) -> list[Camera]:
     """The camera of each of some frames."""
-    depth = frames["depth"][which]
-    count, height, width = depth.shape
+    count, height, width = image_in(frames)[which].shape[:3]
     k, dist = np.asarray(frames["camera_k"]), np.asarray(frames["camera_dist"])
     each_k = [k] * count if k.ndim == 2 else k[which]
     each_dist = [dist] * count if dist.ndim == 1 else dist[which]

@@ -50,6 +50,9 @@ class Evaluate(SelectsFrames):
     """Predictions files (.jsonl or .parquet) or label images of body parts (.zarr), one per model."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ()
     """Models to run: names of packaged models, ONNX or .npz files, or models on servers (grpc://HOST:PORT/MODEL)."""
+    images: Annotated[tuple[str, ...], several("IMAGE [IMAGE ...]")] = ()
+    """Images that models on servers are given, by the names of the dataset's variables: depth, amplitude, confidence, noise,
+    depth_styled, labels, rgb, nir, and cloud; default: those that they list."""
     joints_from: Annotated[Maybe[str], arg(name="from", metavar="SOURCE")] = None
     """Where a lifting model gets its 2D joints: `truth` (the default: those of the dataset), a predictions file, or a model."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
@@ -98,7 +101,8 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     for answer in answers:
         check_predictions(answer, whole, names)
     dataset = selected(whole, command)
-    chosen = [*_with_own_names(files, paths), *images, *opened_models(command.model, dataset, command.joints_from, names)]
+    opened_now = opened_models(command.model, dataset, command.joints_from, names, command.images)
+    chosen = [*_with_own_names(files, paths), *images, *opened_now]
     segmenters = [model for model in chosen if isinstance(model, Segmenter)]
     models = [model for model in chosen if not isinstance(model, Segmenter)]
     if segmenters and models:

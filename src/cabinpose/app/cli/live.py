@@ -42,6 +42,9 @@ class LiveCommand(PrintsJson):
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
     """Models to run, one after the other on each frame: names of packaged models, ONNX or .npz files, or models on
     servers (grpc://HOST:PORT/MODEL)."""
+    images: Annotated[tuple[str, ...], several("IMAGE [IMAGE ...]")] = ()
+    """Images that models on servers are given: of a camera depth, amplitude, confidence, noise and cloud, of a dataset its own;
+    default: those that they list."""
     settings: Annotated[tuple[str, ...], arg(name="set", metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
     """Settings of the source, as in a rig, such as use_case=MODE_9_5FPS_2000 or faults.rate_hz=30."""
     realtime: bool = False
@@ -77,7 +80,7 @@ def run(command: LiveCommand) -> int:
         check_new_predictions(command.predictions, overwrite=command.overwrite)
     settings = parsed_settings(command.settings)
     feed = open_feed(command.source, settings, realtime=command.realtime, out=command.record)
-    models = load(command.model)
+    models = load(command.model, command.images)
     live = Live(feed, models, skip_errors=command.skip_errors, keep=_keeps(command, feed))
     with asked_to_stop("ending") as asked, _shown() as show:
         until = time.monotonic() + (command.duration or float("inf"))
@@ -112,11 +115,13 @@ def run(command: LiveCommand) -> int:
     return 0
 
 
-def load(names: Sequence[str]) -> list[Predictor]:
-    """The detectors of these names, ready."""
-    from cabinpose.estimate.remote import open_predictor
+def load(names: Sequence[str], images: Sequence[str] = ()) -> list[Predictor]:
+    """The detectors of these names, ready; images: those that models on servers are given."""
+    from cabinpose.app.models import check_chosen
+    from cabinpose.estimate.remote import SCHEME, open_predictor
 
-    return [open_predictor(name) for name in names]
+    check_chosen(images, names)
+    return [open_predictor(name, images if name.startswith(SCHEME) else ()) for name in names]
 
 
 def _check(command: LiveCommand) -> None:

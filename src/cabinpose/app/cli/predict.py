@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from cabinpose.app.cli.arguments import DatasetArgument, Maybe, SelectsFrames
+from cabinpose.app.cli.arguments import DatasetArgument, Maybe, SelectsFrames, several
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
 from cabinpose.core import ConfigError
 
@@ -29,6 +29,9 @@ class Predict(SelectsFrames):
     dataset: DatasetArgument
     model: str
     """Name of a packaged model, an ONNX or .npz file, or a model on a server (grpc://HOST:PORT/MODEL)."""
+    images: Annotated[tuple[str, ...], several("IMAGE [IMAGE ...]")] = ()
+    """Images that models on servers are given, by the names of the dataset's variables: depth, amplitude, confidence, noise,
+    depth_styled, labels, rgb, nir, and cloud; default: those that they list."""
     out: Path
     """Predictions file to write: JSON lines (.jsonl) or Parquet (.parquet); label images of body parts: .zarr."""
     joints_from: Annotated[Maybe[str], arg(name="from", metavar="SOURCE")] = None
@@ -62,7 +65,7 @@ def run(command: Predict) -> None:
     check(command.out, overwrite=command.overwrite)  # before the work, not at its end
     dataset = selected(open_dataset(command.dataset), command)
     name = dataset_id(read_manifest(command.dataset))
-    [model] = opened_models([command.model], dataset, command.joints_from, (name, command.dataset.resolve().name))
+    [model] = opened_models([command.model], dataset, command.joints_from, (name, command.dataset.resolve().name), command.images)
     count = dataset.sizes["frame"]
     if isinstance(model, Segmenter):
         if not of_parts:

@@ -12,7 +12,7 @@ from cabinpose.core import FrameBatch, RecordingError, SourceEndedError
 from cabinpose.evaluate import frame_batch
 from cabinpose.record import Lane, Recorder, Rig, start_recorder
 from cabinpose.signals import Counts, FrameSource, HostClock, Sample, ToFFrame
-from cabinpose.store import open_dataset
+from cabinpose.store import image_names, open_dataset
 
 _WAIT_S = 0.1  # for a frame, before the caller is asked whether to go on
 
@@ -41,6 +41,10 @@ class Feed(ABC):
 
     name: str
     clock: HostClock  # of the frames' host_ns
+    images: tuple[str, ...] = ("depth", "amplitude", "confidence", "noise", "cloud")
+    """Those that its frames may hold, of `cabinpose.core.IMAGES`: a ToF camera's."""
+    wanted: tuple[str, ...] = ()
+    """Those that detectors ask for."""
 
     @abstractmethod
     def start(self) -> None:
@@ -64,6 +68,7 @@ class DatasetFeed(Feed):
     def __init__(self, folder: Path) -> None:
         self.name = folder.name
         self.dataset = open_dataset(folder)
+        self.images = image_names(self.dataset)
         self.clock, self._counts = HostClock(), Counts()
 
     def start(self) -> None:
@@ -73,7 +78,7 @@ class DatasetFeed(Feed):
         """The frames as `evaluate` and `predict` read them."""
         numbers = self.dataset["frame"].values
         for row, number in enumerate(numbers.tolist()):
-            batch = frame_batch(self.dataset, slice(row, row + 1))
+            batch = frame_batch(self.dataset, slice(row, row + 1), self.wanted)
             self._counts.received += 1
             yield LiveFrame(number, self.clock.now_ns(), batch)
 
@@ -237,4 +242,8 @@ def batch_of(image: ToFFrame) -> FrameBatch:
     batch = FrameBatch(depth=image.depth_m()[None], camera_k=image.camera_k[None], camera_dist=image.camera_dist[None])
     if image.amplitude.size:
         batch["amplitude"] = image.amplitude[None]
+    if image.confidence.size:
+        batch["confidence"] = image.confidence[None]
+    if image.noise.size:
+        batch["noise"] = image.noise[None]
     return batch

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cabinpose.app.live.feed import Feed, FeedStatus, LiveFrame
-from cabinpose.core import CabinposeError, PoseBatch, Predictor, joined, skeleton_of
+from cabinpose.core import CabinposeError, PoseBatch, Predictor, images_of, joined, require_images, skeleton_of
+from cabinpose.estimate import cameras_of
 from cabinpose.store import Predictions, empty_batch
 
 _WINDOW = 100  # frames over which the present rate and latency are taken
@@ -69,8 +70,10 @@ class Live:
 
     def __init__(self, feed: Feed, models: Sequence[Predictor], *, skip_errors: bool = False, keep: bool = False) -> None:
         """skip_errors: a frame that a detector fails on is counted, and the run goes on; otherwise the error is raised ·
-        keep: remember all answers, for `predictions`.
+        keep: remember all answers, for `predictions`. Raises DatasetError for a model that reads an image which the feed lacks.
         """
+        require_images(models, feed.images, feed.name)
+        feed.wanted = tuple(dict.fromkeys(name for model in models for name in images_of(model)))
         self.feed, self.models = feed, tuple(models)
         self._skip_errors, self._keep = skip_errors, keep
         self._answers = {model.name: _Answers() for model in self.models}
@@ -91,6 +94,9 @@ class Live:
 
     def look(self, frame: LiveFrame) -> tuple[Found, ...]:
         """What each detector finds in a frame, counted."""
+        batch = frame.batch
+        if "cloud" in self.feed.wanted and "cloud" not in batch:
+            batch["cloud"] = cameras_of(batch, slice(0, 1))[0].points(batch["depth"]).astype(np.float32)
         found = tuple(self._ask(model, frame) for model in self.models)
         self._latency_ms.append((self.feed.clock.now_ns() - frame.host_ns) / 1e6)
         self._ended_s.append(time.monotonic())

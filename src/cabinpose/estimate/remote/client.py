@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ipaddress
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal, NoReturn, cast
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 import grpc
@@ -14,11 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 from tritonclient.grpc import service_pb2, service_pb2_grpc
 
-from cabinpose.core import ConfigError, FrameBatch, PoseBatch, RemoteError, joined, skeleton_with, unknown_name
-from cabinpose.estimate.onnx_model import cameras_of
+from cabinpose.core import IMAGES, ConfigError, FrameBatch, PoseBatch, RemoteError, joined, skeleton_with, unknown_name
+from cabinpose.estimate.onnx_model import cameras_of, image_in
 from cabinpose.estimate.remote.messages import add_tensors, read_tensors
 from cabinpose.estimate.remote.regions import EXTENSION, FrameRegion
-from cabinpose.estimate.remote.tensors import INPUTS, MOST, OUTPUTS, PLATFORM, VERSION, Arrays, TensorError, pose_batch
+from cabinpose.estimate.remote.tensors import (
+    DTYPES,
+    INPUTS,
+    MOST,
+    OUTPUTS,
+    PLATFORM,
+    USUAL,
+    VERSION,
+    Arrays,
+    TensorError,
+    pose_batch,
+)
 from cabinpose.store import empty_batch
 
 _LOOK_S = 5.0  # for the server's metadata; a server that is just starting is waited for as long
@@ -28,7 +40,7 @@ _TEXT = 300  # characters of a server's own words
 _USUAL_SIZE = (287, 352)
 _RECONNECT_MS = 100
 _AWAY = (grpc.StatusCode.DEADLINE_EXCEEDED, grpc.StatusCode.UNAVAILABLE)
-_KEYS = ("timeout_s", "on_error", "persons", "joints", "shared_memory", "max_message_mb")
+_KEYS = ("timeout_s", "on_error", "images", "persons", "joints", "shared_memory", "max_message_mb")
 
 
 @dataclass(frozen=True)
@@ -44,11 +56,12 @@ class Address:
     joints: tuple[str, ...] = ()
     shared_memory: bool = True
     max_message_mb: float = 64.0
+    images: tuple[str, ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """`grpc://HOST:PORT/MODEL?key=value&...` with the keys timeout_s, on_error (stop, skip), persons and joints (names with
-        commas), shared_memory (on, off), max_message_mb. Raises ConfigError.
+        """`grpc://HOST:PORT/MODEL?key=value&...` with the keys timeout_s, on_error (stop, skip), images, persons and joints
+        (names with commas), shared_memory (on, off), max_message_mb. Raises ConfigError.
         """
         try:
             url = urlsplit(text)
@@ -68,10 +81,20 @@ class Address:
         for key in ("timeout_s", "max_message_mb"):
             if key in given:
                 settings[key] = _positive(key, given[key])
-        for key in ("persons", "joints"):
+        for key in ("images", "persons", "joints"):
             settings[key] = tuple(name for name in given.get(key, "").split(",") if name)
+        check_images(settings["images"])
         where = f"[{host}]" if ":" in host else host
         return cls(f"{where}:{port}", model, host, shared_memory=given.get("shared_memory") != "off", **settings)
+
+
+def check_images(names: Sequence[str]) -> None:
+    """Raise ConfigError for a name that is none of an image, or one that is there twice."""
+    for name in names:
+        if name not in IMAGES:
+            raise unknown_name("image", name, IMAGES)
+        if list(names).count(name) > 1:
+            raise ConfigError(f"the image {name} is named twice", hint="name each image once")
 
 
 def _positive(key: str, text: str) -> float:
@@ -84,26 +107,31 @@ def _positive(key: str, text: str) -> float:
 class RemotePredictor:
     """A detector that a server of the Open Inference Protocol offers; fulfils `core.ports.Predictor`.
 
-    One frame a request, its number as the request's id. `failed` counts frames without an answer, where the address says that
-    the run shall go on (`on_error=skip`); they are told by warnings.
+    One frame a request, its number as the request's id. `images` are those that it does not work without. `failed` counts frames
+    without an answer, where the address says that the run shall go on (`on_error=skip`); they are told by warnings.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, images: Sequence[str] = ()) -> None:
         """Connect, look at the model's tensors and, where the address does not name persons and joints, ask for one empty frame.
 
         Parameters
         ----------
         address
             What `Address.parse` takes.
+        images
+            The images that the model is given, of `IMAGES`; default: those of the address, or that the server lists.
 
         Raises
         ------
         ConfigError
-            For an address that is none.
+            For an address that is none, or an image that there is not.
         RemoteError
             Where there is no server, no such model, or one with other tensors.
         """
+        check_images(images)
         self._address = Address.parse(address)
+        if images:
+            self._address = replace(self._address, images=tuple(images))
         self.name = self._address.model
         self.failed = 0
         self._label = f"grpc://{self._address.target}/{self.name}"
@@ -141,7 +169,7 @@ class RemotePredictor:
             With the number of the frame, where the server gives no answer in time, or none that makes sense. With
             `on_error=skip` such a frame has no joints instead.
         """
-        count = len(frames["depth"])
+        count = len(image_in(frames))
         return joined([empty_batch(0, len(self.persons), len(self.joints)), *(self._one(frames, i) for i in range(count))])
 
     def close(self) -> None:
@@ -169,20 +197,24 @@ class RemotePredictor:
 
     def _inputs(self, frames: FrameBatch, index: int) -> dict[str, NDArray[Any]]:
         """The tensors of one frame that the server takes."""
-        one = slice(index, index + 1)
-        depth = np.ascontiguousarray(frames["depth"][one], np.float32)
-        arrays: dict[str, NDArray[Any]] = {"depth": depth}
-        for name, ndim in (("camera_k", 2), ("camera_dist", 1)):
-            values: NDArray[Any] = frames[name]  # type: ignore[literal-required]
-            arrays[name] = np.ascontiguousarray(values[None] if values.ndim == ndim else values[one], np.float64)
-        if "amplitude" in frames:
-            light = frames["amplitude"][one]
-            if light.dtype != np.uint16:
-                light = np.clip(np.rint(np.nan_to_num(light)), 0, np.iinfo(np.uint16).max).astype(np.uint16)
-            arrays["amplitude"] = np.ascontiguousarray(light)
-        if "points" in self._takes:
-            arrays["points"] = cameras_of(frames, one)[0].points(depth).astype(np.float32)
-        return {name: values for name, values in arrays.items() if name in self._takes}
+        one, arrays = slice(index, index + 1), dict[str, NDArray[Any]]()
+        for spec in self._takes:
+            image = "cloud" if spec.name == "points" else spec.name
+            values: NDArray[Any] | None = frames.get(image)  # type: ignore[assignment]
+            if values is None and image == "cloud" and "depth" in frames:
+                depth = np.ascontiguousarray(frames["depth"][one], np.float32)
+                arrays[spec.name] = cameras_of(frames, one)[0].points(depth).astype(np.float32)
+                continue
+            if values is None:
+                if image in self.images:
+                    raise TensorError(f"it has no {image}")
+                continue
+            of_one_camera = values.ndim == {"camera_k": 2, "camera_dist": 1}.get(spec.name)
+            values = values[None] if of_one_camera else values[one]
+            if spec.name == "amplitude" and values.dtype != np.uint16:
+                values = np.clip(np.rint(np.nan_to_num(values)), 0, np.iinfo(np.uint16).max)
+            arrays[spec.name] = np.ascontiguousarray(values, DTYPES[spec.datatype])
+        return arrays
 
     def _completed(self, found: PoseBatch, frames: FrameBatch, index: int) -> PoseBatch:
         """An answer in 3D alone gets its 2D by projection."""
@@ -194,7 +226,7 @@ class RemotePredictor:
     # ------------------------------------------------------------------------------------------------- what there is
 
     def _look(self) -> tuple[int, int]:
-        """Check the model's tensors, and return the size (height, width) of frames that it wants, or the usual one."""
+        """Check and choose the model's tensors, and return the size (height, width) of frames that it wants, or the usual one."""
         request = service_pb2.ModelMetadataRequest(name=self.name)
         metadata = self._call(self._stub.ModelMetadata, request, _LOOK_S, wait_for_ready=True)
         spoken = metadata.platform.removeprefix(PLATFORM)
@@ -205,12 +237,23 @@ class RemotePredictor:
             if tensor.name not in known:
                 hint = f"inputs are {', '.join(known)}; docs/algorithms.md has their shapes"
                 self._fail(f"wants an input {tensor.name[:64]!r} that there is not", hint)
-        # A server may say nothing of its tensors: then it gets all but the cloud, which costs time to make.
-        self._takes = {tensor.name for tensor in metadata.inputs} or {s.name for s in INPUTS} - {"points"}
+        self._choose([tensor.name for tensor in metadata.inputs])
         for tensor in metadata.inputs:
-            if tensor.name == "depth" and len(tensor.shape) == 3 and all(0 < n <= MOST["H"] for n in tensor.shape[1:]):
+            if "H" in known[tensor.name].shape and len(tensor.shape) >= 3 and all(0 < n <= MOST["H"] for n in tensor.shape[1:3]):
                 return int(tensor.shape[1]), int(tensor.shape[2])
         return _USUAL_SIZE
+
+    def _choose(self, listed: Sequence[str]) -> None:
+        """Which tensors the server gets, and which images it does not work without, of those that its metadata lists, if any."""
+        chosen = self._address.images
+        theirs = {"points" if name == "cloud" and "points" in listed and name not in listed else name for name in chosen}
+        if listed and (refused := sorted(theirs - {*listed})):
+            self._fail(f"takes no {', '.join(refused)}", f"its inputs are {', '.join(listed)}")
+        takes = theirs | {name for name in listed or USUAL if name.startswith("camera_")} if chosen else {*(listed or USUAL)}
+        self._takes = tuple(spec for spec in INPUTS if spec.name in takes)
+        images = {"cloud" if name == "points" else name for name in takes}
+        # Amplitude is sent where the camera has it, unless it was asked for.
+        self.images = tuple(name for name in IMAGES if name in images and (name in chosen or name != "amplitude"))
 
     def _offers_regions(self) -> bool:
         try:
@@ -222,10 +265,13 @@ class RemotePredictor:
     def _ask_names(self, size: tuple[int, int]) -> None:
         """Learn persons and joints from the answer to a frame in which nothing is seen."""
         k = np.array([[size[1] / 2, 0, (size[1] - 1) / 2], [0, size[1] / 2, (size[0] - 1) / 2], [0, 0, 1]])
-        empty = FrameBatch(
-            depth=np.full((1, *size), np.nan, np.float32), camera_k=k, camera_dist=np.zeros(5),
-            amplitude=np.zeros((1, *size), np.uint16),
-        )  # fmt: skip
+        sizes = {"N": 1, "H": size[0], "W": size[1]}
+        blank: dict[str, NDArray[Any]] = {}
+        for spec in INPUTS:
+            dtype = DTYPES[spec.datatype]
+            shape = [n if isinstance(n, int) else sizes[n] for n in spec.shape]
+            blank[spec.name] = np.full(shape, np.nan if dtype.kind == "f" else 0, dtype)
+        empty = cast("FrameBatch", blank | {"camera_k": k, "camera_dist": np.zeros(5)})
         try:
             answer = self._infer(self._inputs(empty, 0), None, None, max(_FIRST_ANSWER_S, self._address.timeout_s))
             for name in ("person_names", "joint_names"):

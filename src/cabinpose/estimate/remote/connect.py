@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,8 +16,15 @@ if TYPE_CHECKING:
 SCHEME = "grpc://"
 
 
-def open_predictor(model: str | Path) -> JointPredictor | RemotePredictor:
+def open_predictor(model: str | Path, images: Sequence[str] = ()) -> JointPredictor | RemotePredictor:
     """What `--model` names: a packaged model, the model in an ONNX or .npz file, or one on a server (grpc://HOST:PORT/MODEL).
+
+    Parameters
+    ----------
+    model
+        A name, a file, or an address.
+    images
+        The images that a model on a server is given; our own models read what they were made for.
 
     Raises
     ------
@@ -32,7 +40,7 @@ def open_predictor(model: str | Path) -> JointPredictor | RemotePredictor:
     need_protocol()
     from cabinpose.estimate.remote.client import RemotePredictor  # noqa: PLC0415 - an extra
 
-    return RemotePredictor(str(model))
+    return RemotePredictor(str(model), images)
 
 
 def need_protocol() -> None:

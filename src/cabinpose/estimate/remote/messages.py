@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from cabinpose.estimate.remote.tensors import DTYPES, Arrays, TensorError, TensorSpec, bind_shape, names_of, pack, unpack
 
 Read = Callable[[str, int, int], bytes | bytearray]  # name of a region, offset, number of bytes
-_CONTENTS = {"FP32": "fp32_contents", "FP64": "fp64_contents", "UINT16": "uint_contents", "BYTES": "bytes_contents"}
+_CONTENTS = {
+    "FP32": "fp32_contents",
+    "FP64": "fp64_contents",
+    "UINT16": "uint_contents",
+    "UINT8": "uint_contents",
+    "BYTES": "bytes_contents",
+}
 
 
 def read_tensors(
@@ -72,8 +78,9 @@ def _typed(values: Any, spec: TensorSpec, shape: Sequence[int]) -> NDArray[Any]:
     if len(values) != math.prod(shape):
         raise TensorError(f"{spec.name} {list(shape)} has {len(values)} values")
     array = np.asarray(values)
-    if spec.datatype == "UINT16" and (array > np.iinfo(np.uint16).max).any():
-        raise TensorError(f"{spec.name} has a value beyond 16 bits")
+    dtype = DTYPES[spec.datatype]
+    if dtype.kind == "u" and (array > np.iinfo(dtype).max).any():
+        raise TensorError(f"{spec.name} has a value beyond {8 * dtype.itemsize} bits")
     return array.astype(DTYPES[spec.datatype]).reshape(shape)
 
 

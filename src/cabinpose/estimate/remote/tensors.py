@@ -23,6 +23,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
     "FP32": np.dtype("<f4"),
     "FP64": np.dtype("<f8"),
     "UINT16": np.dtype("<u2"),
+    "UINT8": np.dtype("u1"),
     "BYTES": np.dtype(object),
 }
 MOST = {"N": 64, "H": 8192, "W": 8192, "P": 64, "J": 256}  # greatest sizes, checked before any memory is asked for
@@ -50,8 +51,16 @@ INPUTS = (  # tensors of a batch of frames that a model on a server may take
     TensorSpec("camera_k", "FP64", ("N", 3, 3), "px", True, "intrinsics; an integer pixel is a pixel's centre"),
     TensorSpec("camera_dist", "FP64", ("N", 5), "1", False, "OpenCV's distortion k1 k2 p1 p2 k3"),
     TensorSpec("amplitude", "UINT16", ("N", "H", "W"), "camera's", False, "active infrared light"),
-    TensorSpec("points", "FP32", ("N", "H", "W", 3), "m", False, "each pixel's point in the camera frame, NaN where depth is"),
+    TensorSpec("confidence", "UINT8", ("N", "H", "W"), "camera's", False, "the camera's confidence in its depth"),
+    TensorSpec("noise", "UINT16", ("N", "H", "W"), "µm", False, "the camera's own sigma of its depth, 0: unknown"),
+    TensorSpec("depth_styled", "FP32", ("N", "H", "W"), "m", False, "style-transferred depth, NaN where there is none"),
+    TensorSpec("labels", "UINT8", ("N", "H", "W"), "class", False, "the true class of each pixel, by the dataset's table"),
+    TensorSpec("rgb", "UINT8", ("N", "H", "W", 3), "sRGB", False, "colour image of the same camera"),
+    TensorSpec("nir", "UINT16", ("N", "H", "W"), "electrons", False, "near-infrared image of the same camera"),
+    TensorSpec("cloud", "FP32", ("N", "H", "W", 3), "m", False, "each pixel's point in the camera frame, NaN where depth is"),
+    TensorSpec("points", "FP32", ("N", "H", "W", 3), "m", False, "older name of cloud"),
 )
+USUAL = ("depth", "camera_k", "camera_dist", "amplitude")  # what a model gets that does not say what it takes
 OUTPUTS = (  # tensors that it may answer with
     TensorSpec("joints_2d", "FP32", ("N", "P", "J", 2), "px", False, "u, v in the frame's image; NaN: no answer"),
     TensorSpec("joints_3d", "FP32", ("N", "P", "J", 3), "m", False, "x, y, z in the camera frame; NaN: no answer"),
