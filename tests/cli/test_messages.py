@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -251,6 +252,14 @@ def test_no_help_shows_an_empty_default(run: Run) -> None:
         assert "(default: )" not in text, verb
         assert "None" not in text, verb
         assert "{None}" not in text, verb
+        assert "(default: True)" not in text, verb  # of a flag --no-NAME, which says that it switches off
+        assert text.count("(default: on)") == text.count("Switch off: ")
+    for verb, flag in (
+        (("lab",), "--no-exercises"),
+        (("align",), "--no-pose-correction"),
+        (("emulate", "mvn"), "--no-long-trackers"),
+    ):
+        assert re.search(rf"{flag}[ │]+Switch off: ", " ".join(run(*verb, "--help").out.split())), flag
 
 
 def test_a_reader_that_leaves_gets_no_traceback() -> None:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 import tyro
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, OmitSubcommandPrefixes, SuppressFixed, arg
-from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from cabinpose.app.cli.arguments import READS
 from cabinpose.core import CabinposeError, ConfigError
@@ -120,14 +120,21 @@ class _Rule:
             self._asking = False
         if not isinstance(found, StructConstructorSpec):
             return None
-        fields = (replace(field, type=_quiet(field.type)) if field.default in (None, ()) else field for field in found.fields)
-        return replace(found, fields=tuple(fields), instantiate=_checked(found.instantiate))
+        return replace(found, fields=tuple(map(_as_flag, found.fields)), instantiate=_checked(found.instantiate))
 
 
-def _quiet(annotation: Any) -> Any:
-    """A type whose help shows no default, unless it says itself what to show."""
+def _as_flag(field: StructFieldSpec) -> StructFieldSpec:
+    """A field whose help shows no empty default, and says of what is on that the flag, --no-NAME, switches it off."""
+    if field.default is True:
+        about = (field.helptext() if callable(field.helptext) else field.helptext) or ""
+        return replace(field, type=_hinted(field.type, "(default: on)"), helptext=f"Switch off: {about[:1].lower()}{about[1:]}")
+    return replace(field, type=_hinted(field.type, "")) if field.default in (None, ()) else field
+
+
+def _hinted(annotation: Any, default: str) -> Any:
+    """A type whose help shows this of its default, unless it says itself what to show."""
     kind, *more = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
-    return Annotated[(kind, arg(help_behavior_hint=""), *more)]
+    return Annotated[(kind, arg(help_behavior_hint=default), *more)]
 
 
 READS.struct_rule(_Rule())
