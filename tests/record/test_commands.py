@@ -126,6 +126,18 @@ def test_what_record_refuses(tmp_path: Path, rig: Path, run: Run) -> None:
     assert "more than 0" in run("record", "--config", rig, "--out", tmp_path / "a.mcap", "--duration", "-1").err
 
 
+def test_info_tells_of_all_damage(tmp_path: Path, run: Run) -> None:
+    """Damage to the index, which nothing else is read from, as well."""
+    path = take_of(tmp_path / "take.mcap", "S07")
+    sound = path.read_bytes()
+    start = int.from_bytes(sound[-28:-20], "little")
+    for at, told in ((start + 20, "1 damaged indexes"), (len(sound) // 3, "damaged chunks")):
+        path.write_bytes(sound[:at] + bytes([sound[at] ^ 0x40]) + sound[at + 1 :])
+        assert told in run("info", path).out
+        damage = json.loads(run("info", path, "--json").out)["damage"]
+        assert damage["indexes" if at > start else "chunks"] == 1
+
+
 def test_recover_and_view(tmp_path: Path, run: Run) -> None:
     cut = take_of(tmp_path / "cut.mcap", "S07", cut=0.6)
     assert "without its end" in run("info", cut).out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -221,8 +222,21 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         AzureFile(make_mkv(path, depth, mode="HUGE"))
     data = make_mkv(path, depth).read_bytes()
     path.write_bytes(data[: -320 * 288 * 3])
-    frames = [m for _, _, m in read_azure_mkv(path) if isinstance(m, ToFFrame)]
+    with pytest.warns(UserWarning, match="is damaged, and what could not be read is left out: File ended prematurely"):
+        frames = [m for _, _, m in read_azure_mkv(path) if isinstance(m, ToFFrame)]
     assert [int(m.depth[0, 0]) for m in frames] == [1, 2, 3]  # what the cut file holds whole
+
+
+def test_what_is_left_out_of_a_file_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "take.mkv"
+    images = [(track, 1000 * i, picture(i)) for i in range(3) for track in ("DEPTH", "IR")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        list(read_azure_mkv(make_mkv(path, images)))
+    with pytest.warns(UserWarning, match="has 1 frames with depth or infrared alone"):
+        list(read_azure_mkv(make_mkv(path, images[:-1])))
+    with pytest.warns(UserWarning, match="has 1 packets that are no images"):
+        list(read_azure_mkv(make_mkv(path, [*images, ("DEPTH", 3000, b"short")])))
 
 
 def test_a_recording_without_depth_is_infrared_alone(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -177,6 +178,16 @@ def test_damaged(tmp_path: Path, harm: Callable[[Path], Any]) -> None:
     path = bag(tmp_path / "bag", take())
     harm(path)
     with pytest.raises(RecordingError, match=r"cannot read .* as a bag of ROS 2"):
+        frames_of(path)
+
+
+def test_what_is_missing_is_told(tmp_path: Path) -> None:
+    path = bag(tmp_path / "bag", take())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(frames_of(path)) == 3
+    (path / "metadata.yaml").write_text((path / "metadata.yaml").read_text().replace("message_count: 3", "message_count: 5"))
+    with pytest.warns(UserWarning, match="it claims 5 images /tof/depth/image_raw and gives 3"):
         frames_of(path)
 
 

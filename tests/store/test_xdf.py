@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -90,4 +92,45 @@ def test_a_file_that_was_cut_gives_what_it_holds(tmp_path: Path) -> None:
     path = write_xdf(tmp_path / "take.xdf", streams())
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
+    with pytest.warns(UserWarning, match="was not closed"):
+        list(read_xdf(path))
     assert 900 < len(of("force plate", list(read_xdf(path)))) < 2500
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda data: data[: len(data) // 2], "is damaged at byte|no end of the stream"),
+        (lambda data: data.replace(b"\x01\x00\x00\x00\x04\x28\x00\x00\x00", b"\x01\x00\x00\x00\x07\x28\x00\x00\x00"), "what could not be read is left out"),
+        (lambda data: data.replace(b"<sample_count>3<", b"<sample_count>5<"), "gives 3 of the 5 samples of the stream 'events'"),
+        (lambda data: data[:-51] + b"\x80" + data[-50:], "damaged at byte"),
+    ],
+)  # fmt: skip
+def test_what_was_left_out_is_told(tmp_path: Path, damage: Callable[[bytes], bytes], told: str) -> None:
+    path = write_xdf(tmp_path / "take.xdf", streams(40))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        list(read_xdf(path))
+    sound = path.read_bytes()
+    path.write_bytes(damage(sound))
+    assert path.read_bytes() != sound
+    with pytest.warns(UserWarning, match=told):
+        list(read_xdf(path))
+
+
+@pytest.mark.slow
+def test_no_sample_is_lost_in_silence(tmp_path: Path) -> None:
+    """Of files with any byte flipped: as many samples as were written, a warning, or an error."""
+    path = write_xdf(tmp_path / "take.xdf", streams(10))
+    sound = path.read_bytes()
+    count = len(list(read_xdf(path)))
+    rng = np.random.default_rng(1)
+    for at in rng.choice(len(sound), 150, replace=False):
+        path.write_bytes(sound[:at] + bytes([sound[at] ^ 1 << int(rng.integers(8))]) + sound[at + 1 :])
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            try:
+                found = len(list(read_xdf(path)))
+            except RecordingError:
+                continue
+        assert found == count or told, at

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TextIO
 
-from cabinpose.app.cli.output import printable
+from cabinpose.app.cli.output import TOLD, printable
 
 GROUPS = MappingProxyType(
     {
@@ -108,6 +108,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         module = verb_module(verb)
         with warnings.catch_warnings():
             warnings.showwarning = _print_warning
+            TOLD.clear()
             words = module.modernised(rest) if hasattr(module, "modernised") else rest
             flags = [word.partition("=")[0] for word in words if word.startswith("--")]
             if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
@@ -139,5 +140,7 @@ def _print_warning(
 ) -> None:  # fmt: skip
     """Print a warning of this package in one line, and one of another library, which has another category, as Python does."""
     ours = category is UserWarning
+    if ours:
+        TOLD.append(printable(message))
     text = f"warning: {printable(message)}\n" if ours else warnings.formatwarning(message, category, filename, lineno, line)
     (file or sys.stderr).write(text)

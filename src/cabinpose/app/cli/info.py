@@ -159,8 +159,7 @@ def _print_recording(path: Path, *, as_json: bool) -> None:
     take, damage = found.take, found.damage
     who = (f"{s.code}{f' ({s.seat})' if s.seat else ''}{f', consent {s.consent}' if s.consent else ''}" for s in take.subjects)
     state = "whole" if damage.whole else "without its end: `cabinpose recover` gives it one"
-    if damage.chunks or damage.skipped_bytes:
-        state += f"; {damage.chunks} damaged chunks, {damage.skipped_bytes} bytes skipped"
+    state = "; ".join([state, *([", ".join(damage.counted())] if damage.counted() else [])])
     print_rows(
         [
             ("recording", str(path)),

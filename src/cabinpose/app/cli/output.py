@@ -30,9 +30,14 @@ def printable(text: object) -> str:
     return "\n".join("".join(filter(str.isprintable, line)) for line in str(text).split("\n"))
 
 
+TOLD: list[str] = []
+"""The warnings of the command that runs."""
+
+
 def print_json(data: Mapping[str, Any]) -> None:
-    """One JSON object on one line; NaN becomes null."""
-    print(json.dumps(finite(data), allow_nan=False))
+    """One JSON object on one line, with the `warnings` of the command if there were any; NaN becomes null."""
+    told = {"warnings": [*data.get("warnings", ()), *TOLD]} if TOLD else {}
+    print(json.dumps(finite({**data, **told}), allow_nan=False))
 
 
 def print_rows(rows: Iterable[tuple[str, str]]) -> None:

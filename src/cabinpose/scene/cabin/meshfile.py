@@ -6,6 +6,7 @@ Up axis, front axis and unit are as given, or detected with a note that says why
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
@@ -19,6 +20,8 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 AXES = {f"{sign}{axis}": (-1.0 if sign else 1.0) * np.eye(3)[i] for i, axis in enumerate("xyz") for sign in ("", "-")}
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply")
 MAX_TRIANGLES = 1_000_000
+_ELEMENTS = 100 * MAX_TRIANGLES  # of all arrays of a file: vertices, normals, several textures' coordinates
+_HEAD = 1 << 16  # bytes in which a PLY says what follows
 _LENGTH = (1.2, 8.0)  # longest side of an interior or a whole car, m
 _HEIGHT = (0.9, 2.2)  # shortest side; the range is narrower than inch / cm, so that only one unit fits
 _UNREADABLE = {
@@ -163,29 +166,13 @@ def _read(path: Path) -> list[NamedMesh]:
         raise MeshError(f"there is no mesh file {path}", hint="the path in the YAML counts from the YAML's folder")
     try:
         is_gltf = path.suffix.lower() in (".glb", ".gltf")
-        scene = _gltf_scene(path) if is_gltf else trimesh.load_scene(path, process=False)
+        if path.suffix.lower() == ".ply":
+            _check_ply(path)
+        meshes = _meshes_of(path, _gltf_scene(path) if is_gltf else trimesh.load_scene(path, process=False))
     except (MeshError, DependencyError):
         raise
     except Exception as error:  # readers of foreign files fail in every way there is
         raise MeshError(f"{path} cannot be read: {error}", hint="open it in a mesh viewer and export it anew") from error
-    meshes = []
-    for node in scene.graph.nodes_geometry:
-        matrix, key = scene.graph[node]
-        geometry = scene.geometry[key]
-        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
-            continue
-        material = getattr(getattr(geometry.visual, "material", None), "name", None) or ""
-        vertices = np.asarray(geometry.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        faces = np.asarray(geometry.faces, dtype=np.int32)
-        if np.linalg.det(matrix[:3, :3]) < 0:
-            faces = np.ascontiguousarray(faces[:, ::-1])
-        name = f"{node}/{key}/{material}"
-        if not np.isfinite(vertices).all():
-            bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-            raise MeshError(f"{path}: mesh '{name}' has {bad} vertices that are not numbers", hint="repair the export")
-        if not np.asarray(geometry.vertices).any():  # what trimesh leaves where it cannot decompress
-            raise MeshError(f"{path}: the vertices of mesh '{name}' cannot be decoded", hint="export it without compression")
-        meshes.append(NamedMesh(name, vertices, faces))
     count = sum(len(m.faces) for m in meshes)
     if count == 0:
         raise MeshError(f"{path} holds no triangles", hint="export faces, not points, lines or an empty scene")
@@ -197,6 +184,41 @@ def _read(path: Path) -> list[NamedMesh]:
     return meshes
 
 
+def _meshes_of(path: Path, scene: trimesh.Scene) -> list[NamedMesh]:
+    """The triangle meshes of a scene, in its own frame."""
+    meshes = []
+    for node in scene.graph.nodes_geometry:
+        matrix, key = scene.graph[node]
+        geometry = scene.geometry[key]
+        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
+            continue
+        material = getattr(getattr(geometry.visual, "material", None), "name", None) or ""
+        vertices = np.asarray(geometry.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        if geometry.faces.min() < 0 or geometry.faces.max() >= len(vertices):
+            wrong = f"{path}: mesh '{key}' has triangles of vertices that it lacks"
+            raise MeshError(wrong, hint="the file is damaged: copy or export it again")
+        faces = np.asarray(geometry.faces, dtype=np.int32)
+        if np.linalg.det(matrix[:3, :3]) < 0:
+            faces = np.ascontiguousarray(faces[:, ::-1])
+        name = f"{node}/{key}/{material}"
+        if not np.isfinite(vertices).all():
+            bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+            raise MeshError(f"{path}: mesh '{name}' has {bad} vertices that are not numbers", hint="repair the export")
+        if not np.asarray(geometry.vertices).any():  # what trimesh leaves where it cannot decompress
+            raise MeshError(f"{path}: the vertices of mesh '{name}' cannot be decoded", hint="export it without compression")
+        meshes.append(NamedMesh(name, vertices, faces))
+    return meshes
+
+
+def _check_ply(path: Path) -> None:
+    """Raise MeshError where a PLY's head claims more elements than the file has bytes: they would be made before they are read."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    claimed = [int(count) for count in re.findall(rb"^element\s+\S+\s+(\d{1,18})\s*$", head, re.M)]
+    if sum(claimed) > path.stat().st_size:
+        raise MeshError(f"{path} claims {sum(claimed)} elements, more than it has bytes", hint="copy or export it again")
+
+
 def _gltf_scene(path: Path) -> trimesh.Scene:
     """The scene of a glTF or GLB file; of the files that it names only its buffers are read."""
     data = path.read_bytes()
@@ -205,6 +227,11 @@ def _gltf_scene(path: Path) -> trimesh.Scene:
             raise MeshError(f"{path} is not a GLB file", hint="its first four bytes should be 'glTF'")
         data = data[20 : 20 + int.from_bytes(data[12:16], "little")]  # the first chunk; after its length comes its type
     document = json.loads(data)
+    counts = [accessor.get("count", 0) for accessor in document.get("accessors", [])]
+    if sum(counts) > _ELEMENTS:
+        raise MeshError(
+            f"{path} claims {sum(counts)} elements", hint="it is damaged, or to be decimated to some 100 000 triangles"
+        )
     used = set(document.get("extensionsUsed", [])) | set(document.get("extensionsRequired", []))
     for extension, why in _UNREADABLE.items():
         if extension in used:

@@ -1,15 +1,17 @@
 """Running libraries that may crash on a damaged file in a process of their own.
 
 Compiled readers trust what a file says of itself: a wrong size can end the process, or take all memory. What they find is handed
-over piece by piece, and a crash becomes an error like others.
+over piece by piece, and a crash becomes an error like others. What they tell a log of damage that they went past becomes one warning.
 """
 
 from __future__ import annotations
 
 import faulthandler
+import logging
 import multiprocessing
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -21,8 +23,10 @@ T = TypeVar("T")
 
 _AT_ONCE = 64  # items handed over together
 _SILENCE_S = 600.0  # a library that finds nothing for so long hangs
-_ROOM_BYTES = 4 << 30  # of memory, beyond what this process has
+_ROOM_BYTES = 1 << 30  # of memory, beyond what this process has and what the file's size asks for
+_ROOM_PER_BYTE = 40  # of the file: ezc3d keeps an object of 200 bytes for each point of 16
 _PROCESSOR_S = 10
+_MOST_SAID = 200  # characters of what a library says
 _SLOWEST_BYTES_PER_S = 250_000  # with the making of messages
 
 
@@ -33,7 +37,7 @@ class CrashedError(Exception):
 def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
     """The items of `make(path)`, made in another process.
 
-    On Linux, that process may take 4 GB more than this one has, and processor time by the size of the file.
+    On Linux, that process may take 1 GB more than this one has and 40 times the size of the file, and processor time by that size.
 
     Parameters
     ----------
@@ -41,6 +45,11 @@ def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
         What makes the items, which have to be picklable.
     path
         The file.
+
+    Warns
+    -----
+    UserWarning
+        Where the library told a log of something wrong: how often, and what came first.
 
     Raises
     ------
@@ -62,11 +71,14 @@ def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
             if not receiver.poll(_SILENCE_S):
                 raise CrashedError(f"nothing was found for {_SILENCE_S:.0f} s")
             try:
-                items, error, ended = receiver.recv()
+                items, error, ended, said = receiver.recv()
             except EOFError:
                 process.join()
                 raise CrashedError(f"the reader's process ended with {process.exitcode}") from None
             yield from items
+            if said:
+                told = f"{path} is damaged, and what could not be read is left out ({len(said)} times); first: {said[0]}"
+                warnings.warn(told, stacklevel=2)
             if error is not None:
                 raise error
             if ended:
@@ -83,17 +95,33 @@ def _serve(sender: Connection, make: Callable[..., Iterable[Any]], path: Path, p
     _limit(path, processor_s)
     items: list[Any] = []
     error: Exception | None = None
+    said = _Said()
+    logging.root.handlers = [said]
+    logging.root.setLevel(logging.WARNING)
+    warnings.simplefilter("ignore")  # of arithmetic with damaged numbers
     try:
         for item in make(path):
             items.append(item)
             if len(items) >= _AT_ONCE:
-                sender.send((items, None, False))
+                sender.send((items, None, False, ()))
                 items = []
     except CabinposeError as problem:
         error = problem
     except Exception as problem:  # noqa: BLE001 - the library's own kinds of errors may not go through a pipe
         error = RuntimeError(f"{type(problem).__name__}: {problem}")
-    sender.send((items, error, True))
+    sender.send((items, error, True, said.lines))
+
+
+class _Said(logging.Handler):
+    """Keeps the first line of what libraries log."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record, without its traceback."""
+        self.lines.append(next(iter(record.getMessage().splitlines()), "")[:_MOST_SAID])
 
 
 def _limit(path: Path, processor_s: int) -> None:
@@ -104,7 +132,9 @@ def _limit(path: Path, processor_s: int) -> None:
 
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     used = resource.getrusage(resource.RUSAGE_SELF)  # what importing took, in a process that did not begin as a copy
-    seconds = int(used.ru_utime + used.ru_stime) + processor_s + int(path.stat().st_size / _SLOWEST_BYTES_PER_S)
-    for kind, wanted in ((resource.RLIMIT_AS, pages * resource.getpagesize() + _ROOM_BYTES), (resource.RLIMIT_CPU, seconds)):
+    size = path.stat().st_size
+    seconds = int(used.ru_utime + used.ru_stime) + processor_s + int(size / _SLOWEST_BYTES_PER_S)
+    room = pages * resource.getpagesize() + _ROOM_BYTES + _ROOM_PER_BYTE * size
+    for kind, wanted in ((resource.RLIMIT_AS, room), (resource.RLIMIT_CPU, seconds)):
         _, hard = resource.getrlimit(kind)
         resource.setrlimit(kind, (wanted if hard < 0 else min(wanted, hard), hard))

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import json
 import struct
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,10 @@ _SENSOR = 1024
 
 
 class AzureFile:
-    """An open recording: its calibration, and its messages in the order of the file. `malformed` counts packets left out.
+    """An open recording: its calibration, and its messages in the order of the file.
+
+    `malformed` counts packets left out, `alone` frames of depth or infrared without the other; `said` is what FFmpeg tells of
+    damage, which it goes past.
 
     Raises DependencyError without PyAV, RecordingError where the file is no recording of depth or infrared.
     """
@@ -68,11 +72,13 @@ class AzureFile:
     def __init__(self, path: Path) -> None:
         av = optional_module("av", purpose="an Azure Kinect recording", hint="pip install av")
         self.path = path
-        self.malformed = 0
+        self.malformed = self.alone = 0
+        self.said: list[str] = []
+        self._av = av
         self._created_ns = 0  # where the file does not tell
-        self._ffmpeg_error = av.FFmpegError
         try:
-            self._container = av.open(str(path))
+            with self._listening():
+                self._container = av.open(str(path))
         except (OSError, ValueError, av.FFmpegError) as error:
             raise RecordingError(f"cannot read {path}: {error}", hint="an Azure Kinect recording is a Matroska file") from error
         try:
@@ -132,7 +138,7 @@ class AzureFile:
         keys = {stream.index: key for key, stream in self._tracks.items()}
         wanted = {key for key in ("DEPTH", "IR") if key in self._tracks}
         try:
-            for packet in self._container.demux(list(self._tracks.values())):
+            for packet in self._packets():
                 if not packet.size or packet.pts is None:
                     continue  # the end of a track
                 since_ns = round(packet.pts * packet.time_base * 1_000_000_000)
@@ -143,11 +149,38 @@ class AzureFile:
                     waiting.setdefault(since_ns, {})[key] = image
                     many = len(waiting) > _MOST_WAITING
                     for time_ns in sorted(t for t, images in waiting.items() if many or t < since_ns or wanted <= images.keys()):
+                        self.alone += not wanted <= waiting[time_ns].keys()
                         yield self._stamped(time_ns, self._frame(waiting.pop(time_ns)))
-        except self._ffmpeg_error as error:
+        except self._av.FFmpegError as error:
             raise RecordingError(f"{self.path} is damaged: {error}", hint="what precedes the damage was read") from error
+        self.alone += sum(not wanted <= images.keys() for images in waiting.values())
         for time_ns in sorted(waiting):
             yield self._stamped(time_ns, self._frame(waiting[time_ns]))
+
+    def _packets(self) -> Iterator[Any]:
+        """The packets of all tracks."""
+        packets = self._container.demux(list(self._tracks.values()))
+        while True:
+            with self._listening():
+                packet = next(packets, None)
+            if packet is None:
+                return
+            yield packet
+
+    @contextmanager
+    def _listening(self) -> Iterator[None]:
+        """Keep in `said` what FFmpeg calls an error within the block: it goes on after most."""
+        log = self._av.logging
+        before = log.get_level(), log.get_skip_repeated()
+        log.set_level(log.ERROR)
+        log.set_skip_repeated(False)  # of the file before, too
+        try:
+            with log.Capture() as told:
+                yield
+        finally:
+            log.set_level(before[0])
+            log.set_skip_repeated(before[1])
+            self.said += [text.strip() for _, _, text in told]
 
     def _stamped(self, since_ns: int, message: Message) -> Row:
         return self._created_ns + since_ns, self._start_ns + since_ns, message
@@ -202,9 +235,20 @@ class AzureFile:
 
 
 def read_azure_mkv(path: Path) -> Iterator[Row]:
-    """The messages of a recording: facts on the camera, frames, inertial readings. Raises DependencyError or RecordingError."""
+    """The messages of a recording: facts on the camera, frames, inertial readings.
+
+    Raises DependencyError or RecordingError; warns of damage that was gone past, and of what was left out.
+    """
     with AzureFile(path) as file:
         yield from file.rows()
+        notes = {
+            f"is damaged, and what could not be read is left out: {'; '.join(dict.fromkeys(file.said))}": len(file.said),
+            f"has {file.malformed} packets that are no images or readings of its mode; they are left out": file.malformed,
+            f"has {file.alone} frames with depth or infrared alone": file.alone,
+        }
+        for note, count in notes.items():
+            if count:
+                warnings.warn(f"{path} {note}", stacklevel=2)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ What models add to the points is recognised by POINT:ANGLES (joint angles, rad) 
 
 from __future__ import annotations
 
+import math
 import struct
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +28,7 @@ from cabinpose.store.convert.rows import Row
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 ANGLES, OTHERS = "ANGLES", ("FORCES", "MOMENTS", "POWERS", "SCALARS")
 _BLOCK = 512
+_MOST_CLAIMED = 4  # numbers for each byte of a file
 _REFUSALS = (OSError, RuntimeError, ValueError, TypeError, AttributeError, LookupError, MemoryError, OverflowError)
 
 
@@ -75,6 +77,7 @@ def read_c3d(
             path, claimed, there, hint="copy or export it again, or import the frames that are whole with --keep-whole-frames"
         )
     ezc3d()  # an error of its own where it is missing
+    _check_parameters(path)
     try:
         (content,) = items_apart(_load, path)
         trial = _Trial(path, content, subjects, up, lost=claimed - there)
@@ -221,6 +224,45 @@ def _frames(path: Path) -> tuple[int, int]:
     if room < 0:
         raise MocapError(f"{path} is cut off before its first frame", hint="copy or export it again")
     return claimed, min(claimed, room // frame_bytes) if frame_bytes else claimed
+
+
+def _check_parameters(path: Path) -> None:
+    """Raise MocapError where a parameter is larger than its place, or the counts of the parameters than the file.
+
+    The library asks for memory by both before it looks at the file's size.
+    """
+    data = path.read_bytes()[: _BLOCK * 512]  # one byte counts the blocks of the section, one where it begins
+    start = _BLOCK * (max(1, data[0]) - 1)
+    order = ">" if data[start + 3] == 86 else "<"
+    groups: dict[int, str] = {}
+    counts: dict[str, int] = {}
+    at, again = start + 4, ""
+    try:
+        while length := abs(struct.unpack_from("b", data, at)[0]):
+            group, name = struct.unpack_from("b", data, at + 1)[0], data[at + 2 : at + 2 + length].decode("latin-1").upper()
+            at += 2 + length
+            (offset,) = struct.unpack_from(f"{order}H", data, at)
+            if group < 0:
+                groups[-group] = name
+            else:
+                kind, dimensions = struct.unpack_from("bB", data, at + 2)
+                size = abs(kind) * math.prod(data[at + 4 : at + 4 + dimensions])
+                place = at + 4 + dimensions
+                if place + size > (at + offset if offset else len(data)):
+                    again = f"its parameter {name} has {size} bytes, more than there is place for"
+                    break
+                if abs(kind) == 2 and size == 2:
+                    counts[f"{groups.get(group, '')}:{name}"] = struct.unpack_from(f"{order}H", data, place)[0]
+            if not offset:
+                break
+            at += offset
+    except struct.error:
+        again = "its parameters have no end"
+    frames, points, analogs = (counts.get(name, 0) for name in ("POINT:FRAMES", "POINT:USED", "ANALOG:USED"))
+    if not again and frames * (4 * points + analogs) > _MOST_CLAIMED * path.stat().st_size:
+        again = f"its parameters claim {frames} frames of {points} points and {analogs} channels"
+    if again:
+        raise MocapError(f"{path} is damaged: {again}", hint="copy or export it again")
 
 
 def _check_frames(path: Path, trial: Mapping[str, Any], frames: int) -> None:

@@ -11,6 +11,7 @@ the facts say what is left, and keep the numbers.
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,7 +115,9 @@ class _Bag:
         kinds = {topic: kind for kind, topic in chosen.items()}
         waiting: dict[int, dict[str, tuple[int, NDArray[Any]]]] = {}
         lost, begun = 0, False
+        came: Counter[str] = Counter()
         for topic, bag_ns, image in self.messages(*kinds):
+            came[topic] += 1
             stamp = image.header.stamp.sec * 1_000_000_000 + image.header.stamp.nanosec
             if not begun:
                 yield bag_ns, stamp or None, facts
@@ -131,6 +134,11 @@ class _Bag:
         for stamp in sorted(waiting):
             lost += "depth" not in waiting[stamp]
             yield from _frame(stamp, waiting[stamp], unit_m, camera_k, camera_dist)
+        for topic in kinds:
+            claimed = sum(c.msgcount for c in self._reader.connections if c.topic == topic)
+            if came[topic] < claimed:
+                told = f"{self.path} is damaged: it claims {claimed} images {topic} and gives {came[topic]}"
+                warnings.warn(told, stacklevel=2)
         if lost:
             warnings.warn(f"{self.path}: {lost} infrared images have no depth of their stamp, and are left out", stacklevel=2)
 

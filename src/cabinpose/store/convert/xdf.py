@@ -9,6 +9,7 @@ seconds, while times between the streams of the file are as good as LSL's measur
 from __future__ import annotations
 
 import heapq
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from cabinpose.store.convert.format import NoOptions, RecordingFormat
 from cabinpose.store.convert.rows import Entry, epoch_ns
 
 _MOST_CHANNELS = 100_000
+_TAGS = range(1, 7)  # header, stream, samples, clock offset, boundary, end of a stream
 _LATEST_S = 4e9  # of a clock: nanoseconds have 64 bits, twice of it still fit
 
 
@@ -37,16 +39,25 @@ def read_xdf(path: Path) -> Iterator[Entry]:
         Without `pyxdf`.
     RecordingError
         Where the file is no XDF or holds no stream; of a damaged one, what `pyxdf` finds is given.
+
+    Warns
+    -----
+    UserWarning
+        Where something was left out: what `pyxdf` could not read, a chunk that is none, samples that a stream's end counts and
+        the file does not give, or a stream without its end or without channels.
     """
     _pyxdf()  # an error of its own where it is missing
     try:
         ((found, header),) = items_apart(_load, path)
         streams = [stream for each in found if (stream := _stream(each)) is not None]
+        notes = [*_notes(path), *(note for each in found if (note := _loss(each)))]
     except Exception as error:
         hint = "check the path; record it again with LabRecorder"
         raise RecordingError(f"cannot read {path} as XDF: {error}", hint=hint) from error
     if not streams:
         raise RecordingError(f"{path} holds no stream", hint="record it again, with the streams selected")
+    for note in notes:
+        warnings.warn(f"{path} {note}", stacklevel=2)
     zero_s = min((float(stream.host_s[0]) for stream in streams if len(stream.host_s)), default=0.0)
     names: list[str] = []
     for stream in streams:
@@ -136,6 +147,38 @@ def _stream(found: Mapping[str, Any]) -> _Stream | None:
         values=values,
         offsets=offsets,
     )
+
+
+def _loss(found: Mapping[str, Any]) -> str:
+    """What is wrong with a stream by its own end, which counts its samples; "" where nothing is."""
+    name, there = found["info"]["name"][0], len(found["time_stamps"])
+    if int(found["info"]["channel_count"][0]) < 1:
+        return f"has a stream '{name}' without channels, which is left out"
+    try:
+        claimed = int(found["footer"]["info"]["sample_count"][0])
+    except (KeyError, TypeError, IndexError, ValueError):
+        return f"has no end of the stream '{name}': it was not closed, or is damaged; {there} samples are taken"
+    return f"gives {there} of the {claimed} samples of the stream '{name}'" if there != claimed else ""
+
+
+def _notes(path: Path) -> Iterator[str]:
+    """What is wrong with the chunks of a file, one behind the other: where they stop, and those of no known kind."""
+    if path.suffix != ".xdf":  # compressed, under a checksum
+        return
+    size, unknown = path.stat().st_size, 0
+    with path.open("rb") as file:
+        file.seek(4)
+        while (at := file.tell()) < size:
+            width = file.read(1)[0]
+            length = int.from_bytes(file.read(width), "little") if width in (1, 4, 8) else 0
+            tag = int.from_bytes(file.read(2), "little")
+            if length < 2 or file.tell() - 2 + length > size:
+                yield f"is damaged at byte {at}: no chunk is there; what follows may be left out"
+                break
+            unknown += tag not in _TAGS
+            file.seek(length - 2, 1)
+    if unknown:
+        yield f"has {unknown} chunks of no known kind, which are left out"
 
 
 def _recorder_s(stamps_s: F64, offsets: F64) -> F64:

@@ -56,7 +56,7 @@ class Damage:
     chunks: left out for a wrong checksum or content · skipped_bytes: that belong to no record · unverified: messages of a
     chunk that the end of the file cuts, so that its checksum says nothing · unfinished: samples at such a cut, left out since
     some of their messages may be missing · orphans: messages whose channel is not known · records: attachments and the like
-    that contradict themselves · whole: the file has its end.
+    that contradict themselves · indexes: summaries with a wrong checksum, of which nothing is taken · whole: the file has its end.
     """
 
     chunks: int = 0
@@ -65,13 +65,26 @@ class Damage:
     unfinished: int = 0
     orphans: int = 0
     records: int = 0
+    indexes: int = 0
     whole: bool = False
 
     @property
     def any(self) -> bool:
         """Whether something is missing or doubtful."""
-        found = self.chunks, self.skipped_bytes, self.unverified, self.unfinished, self.orphans, self.records
-        return not self.whole or any(found)
+        return not self.whole or bool(self.counted())
+
+    def counted(self) -> list[str]:
+        """What was found, in words; nothing of a file that is whole, or that its end alone is missing from."""
+        counts = (
+            (self.chunks, "damaged chunks"),
+            (self.skipped_bytes, "bytes skipped"),
+            (self.unverified, "messages of a cut chunk not verified"),
+            (self.unfinished, "samples left out at a cut"),
+            (self.orphans, "messages without a channel"),
+            (self.records, "damaged records"),
+            (self.indexes, "damaged indexes"),
+        )
+        return [f"{count} {what}" for count, what in counts if count]
 
 
 class RawMessage(NamedTuple):
@@ -139,6 +152,7 @@ class Scanner:
         while position < self.size:
             if self.size - position == 8 and self._bytes(position, 8) == MCAP0_MAGIC:
                 damage.whole = self._ended
+                damage.indexes = int(self._has_summary and self._summary() is None)
                 return
             found, end = self._record(position, start_time, end_time)
             if end is None:
@@ -267,6 +281,12 @@ class Scanner:
                 break
             position += _WINDOW - _LOOK_AHEAD
         return self.size
+
+    @property
+    def _has_summary(self) -> bool:
+        """Whether the file's end says that there is a summary under a checksum."""
+        start, _, crc = struct.unpack("<QQI", self._bytes(max(self.size - 28, 0), 20))
+        return bool(start and crc)
 
     def _summary(self) -> bytes | None:
         """The summary section of a file that ends as it should, if its checksum is there and right."""
