@@ -37,7 +37,7 @@ def test_triangles_of_vertices_that_are_not_there(tmp_path: Path, suffix: str, i
     size = 2 if known[2] in data and known[0] not in data else 4
     value = (index & ((1 << 8 * size) - 1)).to_bytes(size, "little")
     path.write_bytes(data[:at] + value + data[at + size :])
-    with pytest.raises(MeshError, match="triangles of vertices that it lacks|cannot be read"):
+    with pytest.raises(MeshError, match=r"triangles of vertices that it lacks|cannot be read"):
         draft_car_file(path, tmp_path / "car.yaml", up_axis="y", front_axis="z", unit="m")
 
 
@@ -55,5 +55,5 @@ def test_counts_are_held_against_the_file(tmp_path: Path) -> None:
     text += b" " * (-len(text) % 4)
     body = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + length :]
     path.write_bytes(data[:8] + struct.pack("<I", 12 + len(body)) + body)
-    with pytest.raises(MeshError, match="claims 100000000.. elements"):
+    with pytest.raises(MeshError, match=r"claims 100000000.. elements"):
         read_mesh(path)

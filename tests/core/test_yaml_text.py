@@ -89,3 +89,20 @@ def test_what_cannot_be_read(tmp_path: Path, text: str, message: str) -> None:
         read_yaml(tmp_path / "a.yaml", hint="see the docs")
     assert str(raised.value).startswith(f"{tmp_path / 'a.yaml'} is not YAML that can be read: ")
     assert raised.value.hint == "see the docs"
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, "- " * 100_000, "{a: " * 60_000, "? " * 100_000, "a:\n" + " [\n" * 100_000])
+def test_long_text_that_nests_deep_is_refused(text: str) -> None:
+    """The quick parser would end the process."""
+    with pytest.raises(yaml.YAMLError):
+        parse_yaml(text)
+
+
+def test_long_text_is_read_as_short_text_is() -> None:
+    rows = "\n".join(
+        f"- {{n: {i}, x: {i / 7!r}, s: 'é {i}', d: 2026-01-0{i % 9 + 1}, t: [true, null, 0x1f]}}" for i in range(2500)
+    )
+    assert len(rows) > 100_000
+    assert parse_yaml(rows) == [parse_yaml(row)[0] for row in rows.split("\n")[:50]] + yaml.safe_load(rows)[50:]
+    with pytest.raises(yaml.YAMLError, match="aliases stand for more"):
+        parse_yaml(bomb() + "\n# " + "x" * 100_000)

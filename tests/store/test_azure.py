@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import warnings
 import struct
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

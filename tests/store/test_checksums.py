@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -188,3 +189,34 @@ def test_an_old_dataset_is_resumed(spheres: ModuleType, copy: Path, dataset_fold
 def test_the_checksum_is_that_of_the_lines_before_it(dataset_folder: Path) -> None:
     lines = (dataset_folder / "dataset.yaml").read_text().splitlines(keepends=True)
     assert lines[-1] == f"checksum: {checksum(''.join(lines[:-1]))}\n"
+
+
+def test_every_file_of_a_part_is_compared(dataset_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of each file, the numbers of the frames among them, a byte that differs is found by `info --verify`."""
+    folder = tmp_path / "copy"
+    shutil.copytree(dataset_folder, folder)
+    files = [path for path in sorted((folder / PART).rglob("*")) if path.is_file()] + [folder / "dataset.yaml"]
+    assert folder / PART / "frame/c/0" in files
+    assert main(["info", str(folder), "--verify"]) == 0
+    for path in files:
+        sound = path.read_bytes()
+        at = 20 if len(sound) > 25 else 1
+        path.write_bytes(sound[:at] + bytes([sound[at] ^ 1]) + sound[at + 1 :])
+        assert main(["info", str(folder), "--verify"]) == 2, path
+        path.write_bytes(sound)
+    whole = (folder / "dataset.yaml").read_bytes()
+    (folder / "dataset.yaml").write_bytes(whole[:-1])
+    capsys.readouterr()
+    assert main(["info", str(folder), "--verify"]) == 2
+    assert "dataset.yaml is cut off" in capsys.readouterr().err
+
+
+def test_a_manifest_of_too_many_joints_is_refused_at_once(dataset_folder: Path, tmp_path: Path) -> None:
+    text = manifest_yaml(read_manifest(dataset_folder))
+    at, end = text.index("joints:"), text.index("variables:")
+    names = "".join(f"- joint_{i}\n" for i in range(100_000))
+    (tmp_path / "dataset.yaml").write_text(text[:at] + "joints:\n" + names + text[end:])
+    began = time.process_time()
+    with pytest.raises(DatasetError, match="joints: Tuple should have at most 1000 items"):
+        read_manifest(tmp_path)
+    assert time.process_time() - began < 5  # it took 14 s

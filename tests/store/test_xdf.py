@@ -16,6 +16,7 @@ from cabinpose.store.convert.rows import Entry
 from cabinpose.store.convert.xdf import read_xdf
 
 pyxdf = pytest.importorskip("pyxdf")
+FIRST = b"\x01\x00\x00\x00\x04\x28\x00\x00\x00"  # stream 1: 40 samples, their number in four bytes
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -101,7 +102,7 @@ def test_a_file_that_was_cut_gives_what_it_holds(tmp_path: Path) -> None:
     ("damage", "told"),
     [
         (lambda data: data[: len(data) // 2], "is damaged at byte|no end of the stream"),
-        (lambda data: data.replace(b"\x01\x00\x00\x00\x04\x28\x00\x00\x00", b"\x01\x00\x00\x00\x07\x28\x00\x00\x00"), "what could not be read is left out"),
+        (lambda data: data.replace(FIRST, FIRST[:4] + b"\x07" + FIRST[5:]), "what could not be read is left out"),
         (lambda data: data.replace(b"<sample_count>3<", b"<sample_count>5<"), "gives 3 of the 5 samples of the stream 'events'"),
         (lambda data: data[:-51] + b"\x80" + data[-50:], "damaged at byte"),
     ],

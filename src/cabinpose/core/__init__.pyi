@@ -1,3 +1,6 @@
+from .archives import check_archive as check_archive
+from .archives import check_claim as check_claim
+from .archives import read_arrays as read_arrays
 from .arrays import Bools as Bools
 from .arrays import Bytes as Bytes
 from .arrays import Floats as Floats
@@ -41,6 +44,7 @@ from .intrinsics import RationalLens as RationalLens
 from .intrinsics import fit_camera as fit_camera
 from .intrinsics import fit_lens as fit_lens
 from .intrinsics import pixel_error as pixel_error
+from .onnx_file import check_onnx as check_onnx
 from .ports import IMAGES as IMAGES
 from .ports import POSE_ARRAYS as POSE_ARRAYS
 from .ports import FrameBatch as FrameBatch

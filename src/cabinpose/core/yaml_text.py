@@ -14,6 +14,8 @@ import yaml
 from cabinpose.core.errors import CabinposeError, ConfigError
 
 _LONGEST = 8_000_000  # characters
+_LONG = 100_000  # which take a second without libyaml
+_FLAT = 300  # levels at the most
 _MOST_REPEATED = 100_000  # values that aliases add to those that are written down
 
 
@@ -39,23 +41,43 @@ def parse_yaml(text: str) -> Any:
     if len(text) > _LONGEST:
         raise yaml.YAMLError(f"it has {len(text)} characters, more than {_LONGEST}")
     try:
-        return yaml.load(text, Loader=_Loader)  # noqa: S506 - a SafeLoader
+        return yaml.load(text, Loader=_QuickLoader if _is_long_and_flat(text) else _Loader)  # noqa: S506 - SafeLoaders
     except RecursionError:
         raise yaml.YAMLError("it is nested too deep") from None
     except ValueError as problem:  # a date that is none, for example
         raise yaml.YAMLError(str(problem)) from problem
 
 
-class _Loader(yaml.SafeLoader):
-    """A SafeLoader that counts what aliases stand for before it makes anything of them."""
+def _is_long_and_flat(text: str) -> bool:
+    """Whether a text is for libyaml: ten times as quick, it says less of errors, and ends the process where one nests deep."""
+    if len(text) < _LONG or not yaml.__with_libyaml__:
+        return False
+    depth = 0
+    for event in yaml.parse(text, yaml.CSafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _FLAT:
+            return False
+    return True
+
+
+class _Counted:
+    """Counts what aliases stand for before anything is made of them."""
 
     def get_single_node(self) -> yaml.Node | None:
-        node = super().get_single_node()
+        node: yaml.Node | None = super().get_single_node()  # type: ignore[misc]  # of the loader
         if node is not None:
             sizes: dict[int, int | None] = {}
             if _size(node, sizes) - len(sizes) > _MOST_REPEATED:
                 raise yaml.YAMLError(f"its aliases stand for more than {_MOST_REPEATED} values")
         return node
+
+
+class _Loader(_Counted, yaml.SafeLoader):
+    pass
+
+
+class _QuickLoader(_Counted, yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader):  # type: ignore[misc]
+    pass
 
 
 def _size(node: yaml.Node, sizes: dict[int, int | None]) -> int:

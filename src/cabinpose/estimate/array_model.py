@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from cabinpose.core import ModelError
+from cabinpose.core import ModelError, read_arrays
 from cabinpose.estimate.methods import ArrayMethod
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, existing
 
 SUFFIX = ".npz"
-_UNREADABLE = (OSError, EOFError, KeyError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
 class ArrayModel(TrainedModel):
@@ -32,9 +29,8 @@ class ArrayModel(TrainedModel):
         """Raises ModelError for a file that is missing, damaged, of another program, or whose arrays do not fit its method."""
         path = existing(path)
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-        except _UNREADABLE as error:
+            arrays = read_arrays(path)
+        except (OSError, ValueError) as error:
             raise ModelError(f"{path} cannot be read: {error}", hint="copy the file again, or train the model again") from error
         if METADATA_KEY not in arrays:
             raise ModelError(f"{path} is an .npz file of another program", hint="give best.npz of a run of `cabinpose train`")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
@@ -15,7 +16,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError
+from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError, check_onnx
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, camera_of
@@ -39,7 +40,7 @@ class TrainedModel(ABC):
             self.method = method_of(path, str(self.metadata["method"]))
             self.config = self.method.settings(self.metadata["config"])
             self.expected_error = check_expected_error(self.metadata.get(EXPECTED_ERROR, {}).get("joints", {}))
-        except (ValueError, KeyError, TypeError, AttributeError, ConfigError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, ConfigError) as error:
             raise ModelError(f"{path} does not say what it is: {error}", hint=f"{self._again} with this version") from error
         if not isinstance(self.method, self.kind):
             raise ModelError(f"{path} cannot be a model of {self.method.name}", hint=self._again)
@@ -82,9 +83,12 @@ class OnnxModel(TrainedModel):
     _again = "export it again with `cabinpose export onnx`"
 
     def __init__(self, path: Path | str, *, threads: int | None = None) -> None:
-        """Raises ModelError for a file that is missing, truncated, or not a model of this package."""
+        """Raises ModelError for a file that is missing, truncated, no model of this package, or claims more than it holds."""
         path = existing(path)
         try:
+            if nan := check_onnx(path):
+                told = f"{path} has {nan} tensors of weights with values that are not numbers (NaN): it may find nothing"
+                warnings.warn(told, stacklevel=2)
             self.session = open_session(path, threads=threads)
         except Exception as error:  # ONNX Runtime's own errors share no base class
             raise ModelError(f"{path} cannot be read: {error}", hint="copy the file again, or export the model again") from error
@@ -92,6 +96,7 @@ class OnnxModel(TrainedModel):
         if METADATA_KEY not in properties:
             raise ModelError(f"{path} is an ONNX file of another program", hint="export models with `cabinpose export`")
         super().__init__(path, properties[METADATA_KEY])
+        self._told = bool(nan)
         self._outputs = [output.name for output in self.session.get_outputs()]
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
@@ -107,6 +112,9 @@ class OnnxModel(TrainedModel):
         values = self.session.run(self._outputs, inputs)
         if empty:
             values = [value[:0] for value in values]
+        elif not self._told and any(value.dtype.kind == "f" and np.isnan(value).all() for value in values):
+            self._told = True
+            warnings.warn(f"{self.path} answers with values that are not numbers (NaN)", stacklevel=2)
         return dict(zip(self._outputs, values, strict=True))
 
 

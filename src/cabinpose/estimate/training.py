@@ -16,6 +16,7 @@ from itertools import islice
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, cast
+from zipfile import BadZipFile, is_zipfile
 
 import lightning
 import numpy as np
@@ -26,7 +27,7 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ConfigError, ModelError
+from cabinpose.core import ConfigError, ModelError, check_archive
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import Mirror, mirrored_labels, mirrored_slots
 from cabinpose.estimate.batch import Batch, ray_tensor
@@ -353,14 +354,21 @@ def _configuration(path: Path, checkpoint: Mapping[str, Any]) -> TrainConfig:
         ) from error
 
 
+_NO_CHECKPOINT = (
+    OSError, KeyError, TypeError, RuntimeError, EOFError, ValueError, MemoryError, UnpicklingError, BadZipFile,
+)  # fmt: skip
+
+
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """Weights and configuration of a checkpoint: {"config": plain data, "state": tensors by name}. Raises ModelError."""
     try:
+        if is_zipfile(path):
+            check_archive(path)
         data = torch.load(path, map_location="cpu", weights_only=True)  # plain types and tensors: no code runs
         return {"config": data["hyper_parameters"]["config"], "state": data["state_dict"]}
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         raise ModelError(f"cannot read {path}: {error.strerror}", hint="give best.ckpt or last.ckpt of a run") from error
-    except (OSError, KeyError, TypeError, RuntimeError, EOFError, ValueError, UnpicklingError) as error:  # torch's words mislead
+    except _NO_CHECKPOINT as error:  # torch's words mislead
         raise ModelError(
             f"{path} is no checkpoint of `cabinpose train`, or it is cut short", hint="give best.ckpt or last.ckpt of a run"
         ) from error

@@ -6,6 +6,7 @@ Everything here is turned to our axes (y down) on the way in.
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import ITOP, DatasetError, FrameBatch, axis_rotation, optional_module
+from cabinpose.core import ITOP, DatasetError, FrameBatch, axis_rotation, check_claim, optional_module, read_arrays
 
 K = np.array([[1 / 0.0035, 0.0, 160.0], [0.0, 1 / 0.0035, 120.0], [0.0, 0.0, 1.0]])
 NOMINAL_SCALE_M = 4.24  # metres that a depth of 1 stands for in the frames scaled to 0 .. 1 (their source's figure)
@@ -35,6 +36,12 @@ _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
 _SIDE_SCALE = 1.147
 _TOP_TILT = axis_rotation("x", np.radians(3.3))
 _TOP_SHIFT_M = np.array([0.0, 0.09, -0.16])
+
+
+UNREADABLE = (
+    OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError, ArithmeticError, MemoryError, struct.error,
+)  # fmt: skip
+"""What h5py and scipy raise for damaged files, which is more than they say."""
 
 
 @dataclass(frozen=True)
@@ -62,17 +69,18 @@ def read_itop_reference(path: Path | str) -> ItopReference:
     try:
         if file.suffix == ".h5":
             with hdf5().File(file) as labels:
+                check_claim(file, 4 * sum(labels[name].nbytes for name in ("real_world_coordinates", "is_valid")))
                 joints = np.asarray(labels["real_world_coordinates"], np.float64)
                 valid = np.asarray(labels["is_valid"]).astype(bool)
             frame = np.arange(len(joints))
         elif file.suffix == ".npz":
-            with np.load(file) as arrays:
-                joints, frame = arrays["joints_3d"].astype(np.float64), arrays["frame"].astype(np.int64)
+            arrays = read_arrays(file, ("joints_3d", "frame"))
+            joints, frame = arrays["joints_3d"].astype(np.float64), arrays["frame"].astype(np.int64)
             valid = np.ones(len(joints), bool)
         else:
             joints = np.asarray(loadmat(file)["keypoints3D"], np.float64)
             valid, frame = np.ones(len(joints), bool), np.arange(len(joints))
-    except (OSError, KeyError, ValueError, NotImplementedError) as error:
+    except UNREADABLE as error:
         raise DatasetError(
             f"{file} holds no ITOP reference ({error})", hint="give ITOP's labels.h5, a .mat with keypoints3D, or a .npz"
         ) from error
@@ -88,8 +96,7 @@ def read_itop_frames(path: Path | str) -> FrameBatch:
     """
     file = Path(path)
     try:
-        with np.load(file) as arrays:
-            scaled = arrays["depth01"].astype(np.float32)
+        scaled = read_arrays(file, ("depth01",))["depth01"].astype(np.float32)
     except (OSError, KeyError, ValueError) as error:
         raise DatasetError(
             f"{file} holds no ITOP frames ({error})", hint="give a .npz with depth01, joints_3d and frame"

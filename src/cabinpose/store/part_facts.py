@@ -56,13 +56,16 @@ def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
             raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json does not agree with zarr.json", hint=hint)
         if not describes(own, array):
             raise _disagrees(path, f"the shape, type or classes of {array.name}")
-    for name, labels in dimension_labels(manifest).items():
+    skipped = set(facts.skipped)
+    numbers = tuple(number for number in range(plan.first, plan.first + plan.frames) if number not in skipped)
+    expected = {name: (labels, "str") for name, labels in dimension_labels(manifest).items()} | {"frame": (numbers, "int64")}
+    for name, (values, kind) in expected.items():
         try:
-            stored = tuple(read_whole(path / name / "c", (len(labels),), "str"))
+            stored = tuple(read_whole(path / name / "c", (len(values),), kind).tolist())
         except (OSError, ValueError, RuntimeError) as error:
             raise DatasetError(f"{path.name} is damaged: cannot read {name} ({error})", hint=hint) from error
-        if stored != labels:
-            raise _disagrees(path, f"the names of {name}")
+        if stored != values:
+            raise _disagrees(path, f"the {'numbers' if name == 'frame' else 'names'} of {name}")
     return facts
 
 

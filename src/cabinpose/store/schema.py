@@ -25,6 +25,7 @@ from cabinpose.core import CABINPOSE, JOINTS, OCCUPANT_SLOTS, OTHER_SKELETONS, D
 SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1
 MANIFEST_NAME = "dataset.yaml"
+_MOST_NAMES: Final = 1000  # of persons, and of joints
 MOST_LISTED_PARTS: Final = 100_000  # in dataset.yaml; of more it states their number
 _PART = re.compile(r"part-(\d{5}|[1-9]\d{5,})\.zarr")
 DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
@@ -227,8 +228,8 @@ class Manifest(BaseModel):
     frames_per_part: Annotated[int, Field(ge=1)] = 100
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
-    persons: Annotated[tuple[str, ...], Field(min_length=1)] = OCCUPANT_SLOTS
-    joints: Annotated[tuple[str, ...], Field(min_length=1)] = JOINTS
+    persons: Annotated[tuple[str, ...], Field(min_length=1, max_length=_MOST_NAMES)] = OCCUPANT_SLOTS
+    joints: Annotated[tuple[str, ...], Field(min_length=1, max_length=_MOST_NAMES)] = JOINTS
     variables: tuple[str, ...] = DEFAULT_VARIABLES
     labels: tuple[LabelRow, ...] = ()
     materials: tuple[dict[str, Any], ...] = ()
@@ -394,6 +395,8 @@ def read_manifest(folder: Path | str) -> Manifest:
             f"{path} was changed or damaged: the checksum of its content is {right}, its last line says {stated[:40].rstrip()}",
             hint=f"{_RESTORE}; after a change on purpose, write the first of the two checksums into the last line",
         )
+    if line and not text.endswith("\n"):
+        raise DatasetError(f"{path} is cut off: its last line has no end", hint=_RESTORE)
     try:
         data = parse_yaml(text)
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or a number that cannot be

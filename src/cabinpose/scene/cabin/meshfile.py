@@ -211,7 +211,7 @@ def _meshes_of(path: Path, scene: trimesh.Scene) -> list[NamedMesh]:
 
 
 def _check_ply(path: Path) -> None:
-    """Raise MeshError where a PLY's head claims more elements than the file has bytes: they would be made before they are read."""
+    """Raise MeshError where a PLY's head claims more elements than the file has bytes: memory is asked for by it."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     claimed = [int(count) for count in re.findall(rb"^element\s+\S+\s+(\d{1,18})\s*$", head, re.M)]

@@ -1,7 +1,8 @@
 """Running libraries that may crash on a damaged file in a process of their own.
 
 Compiled readers trust what a file says of itself: a wrong size can end the process, or take all memory. What they find is handed
-over piece by piece, and a crash becomes an error like others. What they tell a log of damage that they went past becomes one warning.
+over piece by piece, and a crash becomes an error like others. What they tell a log of damage that they went past becomes one
+warning.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class CrashedError(Exception):
 def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
     """The items of `make(path)`, made in another process.
 
-    On Linux, that process may take 1 GB more than this one has and 40 times the size of the file, and processor time by that size.
+    On Linux, that process may take 1 GB and 40 times the file's size more than this one has, and processor time by that size.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ detector it would be a wrong example; the literature leaves these frames out, an
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,12 +26,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility, check_claim
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptions
 from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import Origin, check_projection, given_camera, make_manifest, put_camera, put_person
 from cabinpose.store.frames import frames, label_table, people, require_variables
-from cabinpose.store.itop import K, hdf5
+from cabinpose.store.itop import UNREADABLE, K, hdf5
 from cabinpose.store.lazy import camera_of
 from cabinpose.store.schema import LabelRow, Manifest
 from cabinpose.store.source import UNKNOWN, Report, Source, blank_frame
@@ -255,7 +256,7 @@ def _h5(path: Path) -> Iterator[Any]:
     try:
         with hdf5().File(path) as file:
             yield file
-    except (OSError, RuntimeError, KeyError) as error:
+    except UNREADABLE as error:
         raise DatasetError(f"{path} is damaged: {error}", hint="it may be cut short; copy or unpack it again") from error
 
 
@@ -269,7 +270,9 @@ def _open(depth_path: Path, labels_path: Path, options: ItopImport) -> _Pair:
                 raise DatasetError(
                     f"{path} lacks the dataset {', '.join(missing)}", hint=f"it has {there}; is it a file of ITOP?"
                 )
+        check_claim(labels_path, sum(labels[name].nbytes for name in _NEEDED))
         data, count = depth["data"], len(labels["id"])
+        check_claim(depth_path, max(data.nbytes // max(len(data), 1), math.prod(data.chunks or (0,)) * data.dtype.itemsize))
         if data.ndim != 3 or len(data) != count:
             raise DatasetError(
                 f"{depth_path} has depth of the shape {data.shape}, {labels_path.name} labels of {count} frames",

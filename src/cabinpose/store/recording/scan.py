@@ -56,7 +56,8 @@ class Damage:
     chunks: left out for a wrong checksum or content · skipped_bytes: that belong to no record · unverified: messages of a
     chunk that the end of the file cuts, so that its checksum says nothing · unfinished: samples at such a cut, left out since
     some of their messages may be missing · orphans: messages whose channel is not known · records: attachments and the like
-    that contradict themselves · indexes: summaries with a wrong checksum, of which nothing is taken · whole: the file has its end.
+    that contradict themselves · indexes: summaries with a wrong checksum, which are not used · whole: the file
+    has its end.
     """
 
     chunks: int = 0

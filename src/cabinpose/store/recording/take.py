@@ -22,7 +22,7 @@ def _code(value: str) -> str:
 
 def _words(value: str) -> str:
     if value and not _WORDS.fullmatch(value):
-        raise ValueError("at most 64 letters, digits, blanks, _ . / -")
+        raise ValueError("it begins with a letter or a digit; at most 64 letters, digits, blanks, _ . / -")
     return value
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from cabinpose.core import Bools, Bytes, ConfigError, Floats32
+from cabinpose.core import Bools, Bytes, ConfigError, Floats32, read_arrays
 from cabinpose.scene import FIRST_BODY_ID, LABEL_ID, LAST_BODY_ID
 from cabinpose.synth.style.safety import EDGE_M, EDGE_SHARE
 
@@ -38,11 +37,10 @@ class StyleFrame:
         to be learnt from); ConfigError otherwise.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: np.asarray(file[name]) for name in ("depth_m", "regions") if name in file}
+            arrays = read_arrays(path, ("depth_m", "regions"))
         except OSError as error:
             raise ConfigError(f"cannot read {path}: {error.strerror}", hint=_MAKE) from error
-        except (ValueError, TypeError, BadZipFile) as error:
+        except ValueError as error:
             raise ConfigError(f"{path} is no style frame", hint=_MAKE) from error
         if "depth_m" not in arrays:
             raise ConfigError(f"{path} has no depth", hint=_MAKE)

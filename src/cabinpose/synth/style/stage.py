@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
-from cabinpose.core import Bools, Bytes, ConfigError, Floats32, ModelError, optional_module
+from cabinpose.core import Bools, Bytes, ConfigError, Floats32, ModelError, check_onnx, optional_module
 from cabinpose.synth.style.frame import StyleFrame, guides_of
 from cabinpose.synth.style.safety import LabelShift, label_shift, parts_of, without_part_means
 from cabinpose.synth.style.settings import LEFT, METADATA_KEY, Style
@@ -87,6 +87,7 @@ def open_network(path: Path) -> onnxruntime.InferenceSession:
     options.log_severity_level = 3
     options.intra_op_num_threads = 1  # frames are made in threads already, and the same bytes by any number of them
     try:
+        check_onnx(path)
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # ONNX Runtime's own errors share no base class
         raise ModelError(f"{path} cannot be read as a model", hint=_TRAIN) from error
