@@ -34,6 +34,20 @@ from cabinpose.store import open_dataset, read_manifest
 Run = Callable[..., "tuple[int, str, str]"]
 
 
+def test_an_error_leaves_no_folder(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "damaged"
+    shutil.copytree(dataset_folder, folder)
+    for chunk in folder.glob("part-*.zarr/depth/c/0/0/0"):
+        data = chunk.read_bytes()
+        chunk.write_bytes(data[:40] + bytes([data[40] ^ 1]) + data[41:])
+    code, _, err = run("view", folder, "--out", tmp_path / "view")
+    assert (code, "is damaged: cannot read depth" in err) == (2, True)
+    assert not (tmp_path / "view").exists()
+    (tmp_path / "view").mkdir()
+    assert run("view", folder, "--out", tmp_path / "view")[0] == 2
+    assert (tmp_path / "view").is_dir()
+
+
 def test_depth_colours_grow_darker_with_distance() -> None:
     depth = np.array([[0.5, 1.0, 1.5, np.nan, 9.0, 0.1]], np.float32)
     image = depth_image(depth, 0.5, 1.5)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cabinpose.app.cli import live as live_command
 from cabinpose.app.cli.live import _people
 from cabinpose.app.live.choose import open_feed, parsed_settings
 from cabinpose.app.live.feed import LatestFrame, LiveFrame, batch_of
@@ -218,7 +219,28 @@ def test_failing_detector_ends_the_run_or_is_counted(dataset_folder: Path) -> No
     errors = [found[0].error for _, found in live.run()]
     assert [bool(error) for error in errors] == [number == 2 for number in range(FRAMES)]
     assert live.status().failed == {"model": 1}
+    (cause,) = live.status().causes["model"]
+    assert "it cannot" in cause
     assert live.predictions(model).frame.tolist() == [0, 1, 3, 4, 5]
+
+
+def test_failures_are_counted_by_their_cause(dataset_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Messages that differ in numbers are one; beyond twenty the others are."""
+    live = Live(open_feed(str(dataset_folder)), [Model()], skip_errors=True)
+    answers = live._answers["model"]
+    for i in range(7):
+        answers.count(f"frame {i}: no answer after {i / 2} s")
+    answers.count("the server is gone")
+    assert live.status().causes == {"model": {"frame 0: no answer after 0.0 s": 7, "the server is gone": 1}}
+    assert live.status().failed == {"model": 8}
+    live_command._print(live.status())
+    assert (
+        "model failed 7 times: frame 0: no answer after 0.0 s\nmodel failed 1 times: the server is gone"
+        in capsys.readouterr().err
+    )
+    for letter in "abcdefghijklmnopqrstuvwxyz":
+        answers.count(f"cause {letter}")
+    assert live.status().causes["model"]["other causes"] == 8
 
 
 @pytest.mark.parametrize(

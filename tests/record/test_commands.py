@@ -88,7 +88,7 @@ def test_the_duration_and_a_take_of_its_own(tmp_path: Path, rig: Path, run: Run)
     assert 0.3 < survey(tmp_path / "a.mcap").seconds < 30
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_asked_to_stop_it_ends_the_file(tmp_path: Path, rig: Path, kind: signal.Signals) -> None:
     rig.write_text(yaml.safe_dump({"sources": {"suit": {"kind": "numbered"}}}))
     out = tmp_path / "a.mcap"

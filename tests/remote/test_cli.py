@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,6 +23,7 @@ from somebodys_server import good_answer
 
 import cabinpose
 from cabinpose.core import imports
+from cabinpose.estimate.remote import open_predictor
 
 Run = Callable[..., Any]
 
@@ -44,6 +48,35 @@ def test_serve_answers_what_predict_finds(process: Callable[..., Any], run: Run,
     server.send_signal(signal.SIGINT)
     assert server.wait(20) == 0
     assert "answered, 0 refused" in server.stderr.read()
+
+
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_what_ends_a_server_answers_the_calls_under_way(process: Callable[..., Any], kind: signal.Signals) -> None:
+    server = process("-m", "cabinpose", "serve", "--model", "room", "--port", "0")
+    address = server.stdout.readline().strip()
+    remotes = [open_predictor(address) for _ in range(6)]
+    k = np.array([[285.7, 0, 160], [0, 285.7, 120], [0, 0, 1]])
+    frames = {"depth": np.full((1, 240, 320), 2.0, np.float32), "camera_k": k, "camera_dist": np.zeros(5)}
+    for remote in remotes:
+        remote.predict(frames)
+    begun = threading.Barrier(len(remotes) + 1)
+
+    def ask(remote: Any) -> bool:
+        begun.wait()
+        return bool(remote.predict(frames).joints_3d.shape[0] == 1)
+
+    with ThreadPoolExecutor(len(remotes)) as pool:
+        answers = [pool.submit(ask, remote) for remote in remotes]
+        begun.wait()
+        time.sleep(0.03)
+        server.send_signal(kind)
+        ended = [answer.exception() for answer in answers]
+    assert server.wait(20) == 0
+    said = server.stderr.read()
+    assert any(error is None for error in ended)
+    answered = 3 * len(remotes) - sum(error is not None for error in ended)  # to connect, to warm up, and what was under way
+    assert f"{answered} answered, 0 refused" in said
+    assert "Traceback" not in said
 
 
 def test_serve_takes_what_it_is_told(process: Callable[..., Any]) -> None:

@@ -167,6 +167,7 @@ def test_the_least_request_is_answered(stub: Any) -> None:
         ({"camera_k": None}, "camera_k is missing"),
         ({"camera_k": np.full((1, 3, 3), np.nan)}, "not finite"),
         ({"camera_dist": np.full((1, 5), np.inf)}, "not finite"),
+        ({"camera_k": np.diag([1e300, 1e300, 1.0])[None]}, r"or beyond 1e\+09"),
         ({"camera_k": np.ones((2, 3, 3))}, "camera_k is FP64 .2, 3, 3., not FP64 .1, 3, 3."),
         ({"amplitude": np.ones((1, *SIZE), np.float32)}, "amplitude is FP32"),
         ({"points": np.ones((1, *SIZE, 3), np.float32)}, "'points' is unknown"),

@@ -32,6 +32,7 @@ from cabinpose.estimate.remote import (
 
 _MODEL_VERSION = "1"
 _THREADS, _MOST_CALLS = 4, 16  # calls that wait cost memory, a frame each
+_MOST_PX = 1e9  # of a camera's numbers, which float32 holds with their products
 _LONGEST_WAIT_S = 600.0  # of a call without a deadline, for its turn
 _SWEEP_S = 5.0
 
@@ -118,7 +119,8 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
         if not self._turn.acquire(timeout=min(_LONGEST_WAIT_S if left is None else max(left, 0.0), _LONGEST_WAIT_S)):
             context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, "the model was busy with other frames until the deadline")
         try:
-            found = self._predictor.predict(frames)
+            with np.errstate(all="ignore"):  # of whatever depths a caller sends; what comes of them is not finite
+                found = self._predictor.predict(frames)
         finally:
             self._turn.release()
         return vars(found) | self._names
@@ -172,8 +174,8 @@ def _frames(tensors: Arrays, predictor: Predictor) -> FrameBatch:
             raise TensorError(f"{spec.name} is missing")
     k = tensors["camera_k"]
     frames = {"camera_dist": np.zeros((len(k), 5))} | dict(tensors)
-    if not (np.isfinite(k).all() and np.isfinite(frames["camera_dist"]).all()):
-        raise TensorError("camera_k or camera_dist is not finite")
+    if not all((np.abs(values) < _MOST_PX).all() for values in (k, frames["camera_dist"])):  # False for NaN
+        raise TensorError(f"camera_k or camera_dist is of no camera: values that are not finite, or beyond {_MOST_PX:g}")
     return cast("FrameBatch", frames)
 
 

@@ -40,7 +40,7 @@ def read_arrays(path: Path, names: Collection[str] | None = None) -> dict[str, N
             found = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             return {name: _array(archive, info) for name, info in found.items() if names is None or name in names}
     except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, NotImplementedError, RuntimeError, MemoryError) as error:
-        raise ValueError(f"it is no whole .npz file: {error or type(error).__name__}") from error
+        raise ValueError(f"it is no whole .npz file: {str(error) or type(error).__name__}") from error
 
 
 def check_archive(path: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Optional, TypeVar, Union
@@ -110,6 +111,18 @@ def refuse_existing(folder: Path | None, *names: str, overwrite: bool) -> None:
     there = [name for name in names if folder is not None and (folder / name).exists()]
     if there and not overwrite:
         raise DatasetError(f"{folder} already has {' and '.join(there)}", hint="--overwrite replaces them")
+
+
+@contextmanager
+def no_empty_folder(folder: Path) -> Iterator[None]:
+    """A folder that is made within the block and is empty at an error goes."""
+    made = not folder.exists()
+    try:
+        yield
+    except BaseException:
+        if made and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
 
 
 def is_recording(path: Path) -> bool:

@@ -1,16 +1,19 @@
-"""Ctrl-C as a request: the work ends as it should, with its file whole."""
+"""Ctrl-C as a request, and what asks a process to end as Ctrl-C: the work ends as it should, with its file whole."""
 
 from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 
 @contextmanager
 def asked_to_stop(told: str) -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed, or the process asked to end, since the block began; a second time `told` is printed."""
+    """Whether Ctrl-C was pressed, or the process asked to end, since the block began; a second time `told` is printed.
+
+    A process asked to end is one whose terminal was closed as well (SIGHUP), unless that is ignored (nohup).
+    """
     asked = False
 
     def note(*_: object) -> None:
@@ -19,9 +22,33 @@ def asked_to_stop(told: str) -> Iterator[Callable[[], bool]]:
             print(told, file=sys.stderr)
         asked = True
 
-    before = {kind: signal.signal(kind, note) for kind in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with _handled((signal.SIGINT, *_ENDS), note):
         yield lambda: asked
+
+
+@contextmanager
+def interrupted_by_all() -> Iterator[None]:
+    """What asks the process to end is a KeyboardInterrupt within the block, as Ctrl-C is."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with _handled(_ENDS, interrupt):
+        yield
+
+
+@contextmanager
+def _handled(kinds: Iterable[signal.Signals], handler: Callable[..., None]) -> Iterator[None]:
+    """Signals go to a handler within the block, but for those that the process ignores."""
+    before = {kind: signal.getsignal(kind) for kind in kinds}
+    before = {kind: old for kind, old in before.items() if old is not signal.SIG_IGN}
+    for kind in before:
+        signal.signal(kind, handler)
+    try:
+        yield
     finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
+        for kind, old in before.items():
+            signal.signal(kind, old)
+
+
+_ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))  # Windows has no SIGHUP

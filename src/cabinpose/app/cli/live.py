@@ -15,7 +15,7 @@ from tyro.conf import arg
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.interrupt import asked_to_stop
-from cabinpose.app.cli.output import print_json, print_table
+from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
 from cabinpose.core import ConfigError
 
@@ -217,6 +217,9 @@ def _print(status: LiveStatus) -> None:
         for name, latency in status.models.items()
     ]
     print_table(rows)
+    for name, causes in status.causes.items():
+        for cause, count in sorted(causes.items(), key=lambda item: -item[1]):
+            print(printable(f"{name} failed {count} times: {cause}"), file=sys.stderr)
 
 
 def _numbers(latency: Latency) -> tuple[str, str, str]:

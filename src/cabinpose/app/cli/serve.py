@@ -6,11 +6,14 @@ import sys
 from dataclasses import dataclass
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson
+from cabinpose.app.cli.interrupt import interrupted_by_all
 
 
 @dataclass(frozen=True, kw_only=True)
 class Serve(PrintsJson):
-    """Serve a model by the Open Inference Protocol v2 over gRPC, for `--model grpc://HOST:PORT/NAME`. Ctrl-C ends it.
+    """Serve a model by the Open Inference Protocol v2 over gRPC, for `--model grpc://HOST:PORT/NAME`.
+
+    Ctrl-C ends it, and so do SIGTERM and SIGHUP, when the calls under way are answered.
 
     Needs the extra `remote`. There is neither encryption nor a password.
     """
@@ -57,7 +60,8 @@ def run(command: Serve) -> None:
         print(server.address, flush=True)
         print(printable(f"try it: cabinpose predict DATASET --model {server.address} --out found.jsonl"), file=sys.stderr)
     try:
-        server.wait(command.seconds)
+        with interrupted_by_all():
+            server.wait(command.seconds)
     except KeyboardInterrupt:
         pass
     finally:

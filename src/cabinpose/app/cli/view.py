@@ -5,7 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cabinpose.app.cli.arguments import SelectsFrames, ThingArgument, is_recording, refuse_existing, refuse_selection
+from cabinpose.app.cli.arguments import (
+    SelectsFrames,
+    ThingArgument,
+    is_recording,
+    no_empty_folder,
+    refuse_existing,
+    refuse_selection,
+)
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError
@@ -51,14 +58,14 @@ def run(command: View) -> None:
         require("record")
         from cabinpose.app.report.recordings import write_recording_view
 
-        with disk_errors(out), progress(frames, "moments") as report:
+        with no_empty_folder(out), disk_errors(out), progress(frames, "moments") as report:
             write_recording_view(folder, out, frames=frames, rows=rows, report=report)
     else:
         from cabinpose.app.view.page import write_view
 
         manifest = read_manifest(folder)
         dataset = selected(open_dataset(folder), command)
-        with disk_errors(out), progress(frames + rows, "frames") as report:
+        with no_empty_folder(out), disk_errors(out), progress(frames + rows, "frames") as report:
             out.mkdir(parents=True, exist_ok=True)
             write_view(dataset, manifest, folder, out, frames=frames, rows=rows, report=report)
     sheet, page = (out / name for name in VIEW_FILES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +15,7 @@ from cabinpose.core import CabinposeError, PoseBatch, Predictor, images_of, join
 from cabinpose.estimate import cameras_of
 from cabinpose.store import Predictions, empty_batch
 
+_MOST_CAUSES = 20  # of failures that are told apart
 _WINDOW = 100  # frames over which the present rate and latency are taken
 
 
@@ -44,7 +46,7 @@ class Latency:
 @dataclass(frozen=True)
 class LiveStatus:
     """How it goes. rate_hz: frames answered a second, of late · latency: from the frame's arrival to all joints, ms ·
-    models: time in each detector, ms · failed: frames on which each detector gave no answer.
+    models: time in each detector, ms · failed: frames on which each detector gave no answer · causes: why, how often each.
     """
 
     frames: int
@@ -52,6 +54,7 @@ class LiveStatus:
     latency: Latency | None
     models: dict[str, Latency | None]
     failed: dict[str, int]
+    causes: dict[str, dict[str, int]]
     feed: FeedStatus
 
 
@@ -63,6 +66,16 @@ class _Answers:
     batches: list[PoseBatch] = field(default_factory=list)
     ms: array[float] = field(default_factory=lambda: array("d"))
     failed: int = 0
+    causes: dict[str, tuple[str, int]] = field(default_factory=dict)  # the first message, how often; by it without its numbers
+
+    def count(self, error: str) -> None:
+        """Count a failure by its cause; messages that differ in numbers alone have one cause."""
+        self.failed += 1
+        key = re.sub(r"[0-9.]+", "0", error)
+        if key not in self.causes and len(self.causes) >= _MOST_CAUSES:
+            key = error = "other causes"
+        first, times = self.causes.get(key, (error, 0))
+        self.causes[key] = first, times + 1
 
 
 class Live:
@@ -111,8 +124,8 @@ class Live:
         except CabinposeError as problem:
             if not self._skip_errors:
                 raise
-            answers.failed += 1
             poses, error = empty_batch(1, len(model.persons), len(model.joints)), problem.in_one_line()
+            answers.count(error)
         ms = 1e3 * (time.perf_counter() - began)
         if not error:
             answers.ms.append(ms)
@@ -132,6 +145,7 @@ class Live:
             latency=Latency.of(self._latency_ms[since:]),
             models={name: Latency.of(answers.ms[since:]) for name, answers in self._answers.items()},
             failed={name: answers.failed for name, answers in self._answers.items()},
+            causes={name: dict(answers.causes.values()) for name, answers in self._answers.items()},
             feed=self.feed.status(),
         )
 

@@ -137,8 +137,8 @@ class _Bag:
         for topic in kinds:
             claimed = sum(c.msgcount for c in self._reader.connections if c.topic == topic)
             if came[topic] < claimed:
-                told = f"{self.path} is damaged: it claims {claimed} images {topic} and gives {came[topic]}"
-                warnings.warn(told, stacklevel=2)
+                lacking = f"{self.path} is damaged: it claims {claimed} images {topic} and gives {came[topic]}"
+                warnings.warn(lacking, stacklevel=2)
         if lost:
             warnings.warn(f"{self.path}: {lost} infrared images have no depth of their stamp, and are left out", stacklevel=2)
 
