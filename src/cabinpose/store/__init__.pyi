@@ -5,6 +5,7 @@ from .class_images import read_class_images as read_class_images
 from .class_images import write_class_images as write_class_images
 from .dataset import DatasetWriter as DatasetWriter
 from .dataset import create_dataset as create_dataset
+from .frames import camera_of as camera_of
 from .frames import dataset_skeleton as dataset_skeleton
 from .frames import depth_mm as depth_mm
 from .frames import frame_images as frame_images
@@ -23,7 +24,6 @@ from .labels import Key as Key
 from .labels import Labels as Labels
 from .labels import labels_of as labels_of
 from .labels import with_labels as with_labels
-from .lazy import camera_of as camera_of
 from .lazy import open_dataset as open_dataset
 from .lazy import points_m as points_m
 from .part import EncodedFrame as EncodedFrame

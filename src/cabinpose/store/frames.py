@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from PIL import Image
 
-from cabinpose.core import CABINPOSE, IMAGES, SKELETONS, DatasetError, Skeleton, Visibility, skeleton_with
-from cabinpose.store.lazy import camera_of
+from cabinpose.core import CABINPOSE, IMAGES, SKELETONS, Camera, DatasetError, Skeleton, Visibility, skeleton_with
 from cabinpose.store.schema import joint_dimension
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # Who places the joints of datasets that were not generated, by what made them. In a set's own variable they have its names alone.
 _PLACED_BY = {
@@ -23,6 +24,20 @@ _PLACED_BY = {
     "import itop": "those of ITOP's annotators, nearer to the camera",
     "import ntu": "those of Kinect's body tracking",
 }
+
+
+def camera_of(frame: xr.Dataset, width: int, height: int) -> Camera:
+    """The camera of one frame of a dataset."""
+    return camera_from(frame["camera_k"].values, frame["camera_dist"].values, width, height)
+
+
+def camera_from(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
+    """The camera of `camera_k` (3, 3) and `camera_dist` (5,); DatasetError where they are not known."""
+    if not np.isfinite(k).all():
+        raise DatasetError("the dataset does not know its camera's intrinsics", hint="import it again with --intrinsics")
+    (fx, _, cx), (_, fy, cy), _ = k.tolist()
+    k1, k2, p1, p2, k3 = dist.tolist()
+    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
 
 
 @dataclass(frozen=True)

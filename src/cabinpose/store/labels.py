@@ -16,12 +16,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import xarray as xr
 
 from cabinpose.core import DatasetError, Visibility
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FORMAT: Final = "cabinpose-labels"
 VERSION: Final = 1

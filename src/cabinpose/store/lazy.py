@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from cabinpose.core import Camera, DatasetError
+from cabinpose.core import DatasetError
+from cabinpose.store.frames import camera_from
 from cabinpose.store.part_facts import PartFacts, check_part
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, read_manifest, variable_attributes
 from cabinpose.store.shard import read_frames, read_whole
@@ -228,20 +229,7 @@ def _metres(scale: float) -> NDArray[np.float32]:
     return table
 
 
-def camera_of(frame: xr.Dataset, width: int, height: int) -> Camera:
-    """The camera of one frame of a dataset."""
-    return _camera(frame["camera_k"].values, frame["camera_dist"].values, width, height)
-
-
-def _camera(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
-    if not np.isfinite(k).all():
-        raise DatasetError("the dataset does not know its camera's intrinsics", hint="import it again with --intrinsics")
-    (fx, _, cx), (_, fy, cy), _ = k.tolist()
-    k1, k2, p1, p2, k3 = dist.tolist()
-    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-
-
 @lru_cache(maxsize=64)
 def _rays(k: bytes, dist: bytes, width: int, height: int) -> NDArray[np.float32]:
     """(height, width, 2) normalised coordinates of a camera given by its raw float64 intrinsics."""
-    return _camera(np.frombuffer(k).reshape(3, 3), np.frombuffer(dist), width, height).rays.astype(np.float32)
+    return camera_from(np.frombuffer(k).reshape(3, 3), np.frombuffer(dist), width, height).rays.astype(np.float32)

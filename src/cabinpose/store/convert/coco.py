@@ -24,11 +24,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import ijson
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import CABINPOSE, Camera, DatasetError, Visibility
@@ -38,6 +37,9 @@ from cabinpose.store.convert.reading import Origin, depth_ticks_of_mm, given_cam
 from cabinpose.store.frames import PersonInFrame, dataset_skeleton, file_stem, people, require_variables
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import UNKNOWN, Report, Source, blank_frame
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FLAG = np.zeros(256, np.int64)  # COCO's visibility by ours
 FLAG[[Visibility.OCCLUDED, Visibility.SELF_OCCLUDED]] = 1

@@ -20,21 +20,22 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility, check_claim
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptions
 from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import Origin, check_projection, given_camera, make_manifest, put_camera, put_person
-from cabinpose.store.frames import frames, label_table, people, require_variables
+from cabinpose.store.frames import camera_of, frames, label_table, people, require_variables
 from cabinpose.store.itop import UNREADABLE, K, hdf5
-from cabinpose.store.lazy import camera_of
 from cabinpose.store.schema import LabelRow, Manifest
 from cabinpose.store.source import UNKNOWN, Report, Source, blank_frame
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 PERSON = "standing"  # the place of the person in a room, as `synth` calls it
 _SIZE = (320, 240)

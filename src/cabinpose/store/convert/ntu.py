@@ -23,10 +23,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import CABINPOSE, NTU_JOINTS, Camera, DatasetError, Visibility
@@ -45,6 +44,9 @@ from cabinpose.store.convert.reading import (
 from cabinpose.store.frames import PersonInFrame, frames, people
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import Report, Source, blank_frame
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # Nominal intrinsics of Kinect v2's depth camera: one device's factory calibration, published with OpenKinect for Processing and
 # much used for others, whose differ by a few pixels. The files carry none. cx is counted in the unmirrored image.

@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import ConfigError
 from cabinpose.store.frames import depth_mm, file_stem, frames, write_png
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _FARTHEST_M = 4.0  # holds cars, vans and people in a room: one scale for all datasets, in steps of 16 mm
 _BRIGHTEST = 500.0

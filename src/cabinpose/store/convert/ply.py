@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.store.convert.format import DatasetFormat, NoOptions
 from cabinpose.store.frames import file_stem, frames, label_colours, require_variables
 from cabinpose.store.lazy import points_m
 from cabinpose.store.source import Report
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _PLY_TYPE = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 

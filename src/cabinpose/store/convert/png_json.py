@@ -10,10 +10,9 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import DatasetError, Visibility
@@ -30,6 +29,9 @@ from cabinpose.store.convert.reading import (
 from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
 from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import Report, Source, blank_frame
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _IMAGES = ("depth", "depth_clean", "depth_styled", "amplitude", "labels", "instance", "rgb", "nir")
 _NUMBERS = ("sequence", "sync_ns", "seed")

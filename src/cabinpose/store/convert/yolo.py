@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-import xarray as xr
 import yaml
 
 from cabinpose.core import ConfigError
@@ -24,6 +23,9 @@ from cabinpose.store.convert.pictures import PICTURES, check_kind, pictured
 from cabinpose.store.frames import dataset_skeleton, file_stem, require_variables
 from cabinpose.store.source import Report
 from cabinpose.store.split import Splits, held_out
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 YoloImages = Literal["depth8", "amplitude8", "rgb"]
 
