@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -12,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from cabinpose.app.cli import main
+from cabinpose.core import Visibility
 from cabinpose.evaluate import EvaluationOptions
 from cabinpose.store import read_manifest
 from cabinpose.store.predictions import Predictions, write_predictions
@@ -93,12 +96,49 @@ def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files:
     charts = re.findall(r"<svg.*?</svg>", page, re.S)
     frames = [c for c in charts if 'class="frame"' in c]
     assert len(frames) == 2 * 5
-    # a chart for each space, kind and group, boxes in three ranges, and four of the confidence
-    assert len(charts) == 2 * 5 + 4 * 6 + 2 * 3 + 4
+    # a chart for each space, kind and group, boxes in three ranges, d(t) of both models, d(t, j) twice of three, and confidence
+    assert len(charts) == 2 * 5 + 4 * 6 + 2 * 3 + 2 + 2 * 3 + 4
     for chart in charts:
         ET.fromstring(chart)
     assert any("#ff9f1c" in f and "#ffffff" in f for f in frames)
     assert (tmp_path / "out" / "boxes.png").stat().st_size > 10_000
+
+
+def test_distances_of_each_joint_over_the_frames(
+    run: Callable[..., Outcome], files: list[Path], dataset: xr.Dataset, predictions: Predictions, tmp_path: Path
+) -> None:
+    """The file, joint by joint, against loops over frames and people; the page has them to tick."""
+    assert run(files[0], "--out", tmp_path / "out").code == 0
+    with (tmp_path / "out" / "distances.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["space"], int(row["frame"])) for row in rows] == [(space, n) for space in ("2d", "3d") for n in range(5)]
+    missed = 0
+    for row in rows:
+        truth, everything, counted = dataset.sel(frame=int(row["frame"])), [], 0
+        at = predictions.frame.tolist().index(int(row["frame"]))
+        for joint in predictions.joints:
+            d, counts = [], 0
+            for p, person in enumerate(predictions.persons):
+                true = truth.sel(person=person, joint=joint)
+                if int(true["visibility"]) < Visibility.OCCLUDED:
+                    continue
+                counts += 1
+                j = predictions.joints.index(joint)
+                name, factor = ("joints_2d", 1) if row["space"] == "2d" else ("joints_3d", 100)
+                found = getattr(predictions, name)[at, p, j]
+                if np.isfinite(found).all() and predictions.presence[at, p, j] >= 0.5:
+                    d.append(factor * float(np.linalg.norm(found - true[name].values)))
+            everything, counted = everything + d, counted + counts
+            missed += counts > 0 and not d
+            expected = np.mean(d) if d else np.inf if counts else np.nan
+            np.testing.assert_allclose(float(row[joint] or "nan"), expected, rtol=1e-3)
+        np.testing.assert_allclose(float(row["mean"]), np.mean(everything), rtol=1e-3)
+    assert missed
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert page.count('type="checkbox"') == 2 * (1 + len(predictions.joints))
+    assert page.count('checked="checked"') == 2 * 4  # the mean, and the three that are farthest off
+    assert "threshold 26 px" in page
+    assert "threshold 10 cm" in page
 
 
 def test_places_that_no_model_looks_at_are_told_and_not_counted(

@@ -19,6 +19,9 @@ from .offline import samples_of as samples_of
 from .offline import shared_places as shared_places
 from .offline import truth_of as truth_of
 from .options import EvaluationOptions as EvaluationOptions
+from .over_frames import FrameDistances as FrameDistances
+from .over_frames import frame_distances as frame_distances
+from .over_frames import joint_distances as joint_distances
 from .parts import PartsReport as PartsReport
 from .parts import PartsValue as PartsValue
 from .parts import evaluate_parts as evaluate_parts

@@ -60,7 +60,7 @@ class Evaluate(SelectsFrames):
     labels: Maybe[Path] = None
     """Corrected labels of the dataset, as the studio writes them (.labels.jsonl)."""
     out: Maybe[Path] = None
-    """Folder for index.html, report.json and a picture: boxes.png, for body parts parts.png."""
+    """Folder for index.html, report.json, distances.csv (of each joint in each frame) and boxes.png; for body parts parts.png."""
     evaluation: OmitArgPrefixes[EvaluationOptions] = field(default_factory=EvaluationOptions)
     everything: Annotated[bool, arg(name="all")] = False
     """Print every number, not only the usual eight; the page and the JSON always hold all."""
@@ -88,7 +88,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     from cabinpose.app.cli.selection import opened, selected
     from cabinpose.app.models import opened_models
     from cabinpose.core import Segmenter
-    from cabinpose.evaluate import check_predictions, common_joints, evaluate
+    from cabinpose.evaluate import check_predictions, common_joints, frame_distances, make_report, model_name, samples_of
     from cabinpose.store import SUFFIX, dataset_id, read_class_images, read_manifest, read_predictions
 
     refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
@@ -113,26 +113,30 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
     frames = dataset.sizes["frame"]
-    reports = []
+    reports, over_frames = [], {}
     for model in models:
         with progress(frames, "frames") as shown:
 
             def show(done: int, shown: ProgressReport = shown) -> None:
                 shown(done, "" if done < frames else "intervals")
 
-            reports.append(evaluate(dataset, model, options, joints=joints, persons=persons, name=names[1], progress=show))
+            samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons, progress=show)
+            reports.append(make_report(samples, options, model_name(model), names[1], notes))
+        over_frames[reports[-1].model] = {space: frame_distances(samples, space, options) for space in samples.spaces()}
         tell_failed(model)
     record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         from cabinpose.app.report.detectors import page_html
         from cabinpose.app.report.frames import frame_figures
+        from cabinpose.app.report.over_frames import write_distances
 
         in_view = dataset.sel(person=list(persons))
         typical, worst = (
             {r.model: frame_figures(in_view, r, m, options, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
             for kind in ("typical", "worst")
         )
-        write_report(command.out, page_html(reports, typical, worst), record)
+        write_report(command.out, page_html(reports, typical, worst, over_frames), record)
+        write_distances(command.out / "distances.csv", over_frames)
         write_boxes(command.out, reports)
     if command.as_json:
         print_json(record)

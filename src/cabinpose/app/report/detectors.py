@@ -9,6 +9,7 @@ from cabinpose.app.report.charts import ValueScale, box_chart, charts, legend, s
 from cabinpose.app.report.frames import ERROR, PREDICTION, TRUTH
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, tiles, with_small
 from cabinpose.app.report.numbers import Column, group_columns, interval, label, number, people_rows
+from cabinpose.app.report.over_frames import NOTE, OverFrames, over_frames_html
 from cabinpose.evaluate import ALL, FOUND, PEOPLE, Report, Value
 
 _Row = tuple[object, Report, Sequence[object]]  # the first cell, the report that the row is of, the other cells
@@ -29,8 +30,15 @@ _TILES = (
 )  # fmt: skip
 
 
-def page_html(reports: Sequence[Report], typical: Mapping[str, Sequence[Html]], worst: Mapping[str, Sequence[Html]]) -> str:
-    """The page on one or more models on one dataset; typical, worst: figures of such frames by model."""
+def page_html(
+    reports: Sequence[Report], typical: Mapping[str, Sequence[Html]], worst: Mapping[str, Sequence[Html]],
+    over_frames: OverFrames = MappingProxyType({}),
+) -> str:  # fmt: skip
+    """The page on one or more models on one dataset.
+
+    typical, worst: figures of such frames by model · over_frames: how far each is off over the frames; without it the page has no
+    such section.
+    """
     colours = ((TRUTH, " truth "), (PREDICTION, " prediction "), (ERROR, " error"))
     dots = join(part for colour, name in colours for part in (el("i", class_="dot", style=f"background:{colour}"), name))
     first = reports[0]
@@ -43,6 +51,7 @@ def page_html(reports: Sequence[Report], typical: Mapping[str, Sequence[Html]], 
         section("By joint group", _group_table(reports), intervals),
         section("Curves", _curves(reports), curves),
         section("Error by joint", _boxes(reports), _BOX_NOTE),
+        section("Over the frames", over_frames_html(over_frames), NOTE),
         section("Confidence", _confidence(reports), _CONFIDENCE_NOTE),
         section("By visibility", _visibility_table(reports)),
         section("Typical frames", _frames(reports, typical), near),

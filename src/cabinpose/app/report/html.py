@@ -9,7 +9,7 @@ from importlib.resources import files
 
 from cabinpose.app.view.draw import Image, jpeg
 
-_VOID = ("img", "meta")  # elements without an end
+_VOID = ("img", "input", "meta")  # elements without an end
 
 
 class Html(str):

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
-from cabinpose.app.studio.models import Judged, detectors, error_words, joint_distances, judged, load_choice, worst_first
+from cabinpose.app.studio.models import Judged, detectors, error_words, judged, load_choice, worst_first
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core import CabinposeError, PoseBatch, skeleton_of
-from cabinpose.evaluate import EvaluationOptions, common_joints, predict_dataset, shared_places
+from cabinpose.evaluate import EvaluationOptions, common_joints, joint_distances, predict_dataset, shared_places
 from cabinpose.store import Predictions, dataset_id, dataset_skeleton
 
 COLOURS = ("#ff9f1c", "#35a7ff", "#ff5964", "#9bde7e", "#c792ea", "#f6f740")

@@ -14,7 +14,17 @@ from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import Predictor
 from cabinpose.estimate import packaged_detectors
 from cabinpose.estimate.remote import open_predictor
-from cabinpose.evaluate import EvaluationOptions, Report, Samples, common_joints, make_report, samples_of, shared_places
+from cabinpose.evaluate import (
+    EvaluationOptions,
+    FrameDistances,
+    Report,
+    Samples,
+    common_joints,
+    frame_distances,
+    make_report,
+    samples_of,
+    shared_places,
+)
 from cabinpose.store import Predictions
 
 _FILE = "file:"
@@ -47,11 +57,16 @@ def load_choice(workspace: Workspace, value: str) -> Predictor | Predictions | N
 
 @dataclass(frozen=True)
 class Judged:
-    """A model's errors and numbers. d: (F,) error of each frame, as `frame_distances` has it."""
+    """A model's errors and numbers, and its errors over the frames."""
 
     samples: Samples
     report: Report
-    d: NDArray[np.float64]
+    over_frames: FrameDistances
+
+    @property
+    def d(self) -> NDArray[np.float64]:
+        """(F,) the error of each frame, see `FrameDistances.mean`."""
+        return self.over_frames.mean
 
 
 def judged(
@@ -59,31 +74,11 @@ def judged(
 ) -> Judged:
     """What `evaluate` says of a model, and how far its joints are off in each frame."""
     samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons)
-    return Judged(samples, make_report(samples, options, model.model, "", notes), frame_distances(samples, space))
-
-
-def joint_distances(samples: Samples, space: str) -> NDArray[np.float64]:
-    """(S, J) distances of the joints that count and were found, NaN elsewhere; "3d" in cm, "2d" in px."""
-    where, factor = (samples.px, 1.0) if space == "2d" else (samples.m, 100.0)
-    return np.where(samples.counts & where.found, where.error, np.nan) * factor
-
-
-def frame_distances(samples: Samples, space: str) -> NDArray[np.float64]:
-    """(F,) mean distance of the joints found in each frame, cm or px.
-
-    Infinite where joints count and none of them was found, NaN where none counts.
-    """
-    error = joint_distances(samples, space)
-    sums, found, counted = (np.zeros(len(samples.frames)) for _ in range(3))
-    np.add.at(sums, samples.at, np.nansum(error, axis=1))
-    np.add.at(found, samples.at, np.isfinite(error).sum(axis=1))
-    np.add.at(counted, samples.at, samples.counts.sum(axis=1))
-    with np.errstate(invalid="ignore"):
-        return np.where((found == 0) & (counted > 0), np.inf, sums / found)
+    return Judged(samples, make_report(samples, options, model.model, "", notes), frame_distances(samples, space, options))
 
 
 class FrameErrors(NamedTuple):
-    """How far predictions are off. d: (F,) error of each frame, as `frame_distances` has it · unit: cm, or px."""
+    """How far predictions are off. d: (F,) error of each frame, as `FrameDistances.mean` · unit: cm, or px."""
 
     d: NDArray[np.float64]
     unit: str
@@ -109,7 +104,7 @@ def frame_errors(workspace: Workspace, opened: xr.Dataset, name: str, person: st
     options, persons = EvaluationOptions(resamples=0), (person,) if person else shared_places(dataset, [model])
     samples, _ = samples_of(dataset, model, options, joints=common_joints(dataset, [model]), persons=persons)
     space = "3d" if "3d" in samples.spaces() else "2d"
-    return FrameErrors(frame_distances(samples, space), "cm" if space == "3d" else "px")
+    return FrameErrors(frame_distances(samples, space, options).mean, "cm" if space == "3d" else "px")
 
 
 def worst_first(d: NDArray[np.float64]) -> NDArray[np.int64]:
