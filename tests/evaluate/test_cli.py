@@ -96,8 +96,9 @@ def test_json_and_page_hold_the_same_numbers(run: Callable[..., Outcome], files:
     charts = re.findall(r"<svg.*?</svg>", page, re.S)
     frames = [c for c in charts if 'class="frame"' in c]
     assert len(frames) == 2 * 5
-    # a chart for each space, kind and group, boxes in three ranges, d(t) of both models, d(t, j) twice of three, and confidence
-    assert len(charts) == 2 * 5 + 4 * 6 + 2 * 3 + 2 + 2 * 3 + 4
+    # a chart for each space, kind and group, boxes in three ranges, d(t) of both models, d(t, j) twice of three, confidence, and
+    # the frames of the model in 3D in their clouds
+    assert len(charts) == 2 * 5 + 5 + 4 * 6 + 2 * 3 + 2 + 2 * 3 + 4
     for chart in charts:
         ET.fromstring(chart)
     assert any("#ff9f1c" in f and "#ffffff" in f for f in frames)

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.report.charts import line, svg
+from cabinpose.app.report.cloud_views import cloud_views
 from cabinpose.app.report.html import Html, el, figure, picture_uri
 from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
@@ -23,7 +24,7 @@ _HALF = 0.5  # pixel centres are whole numbers in this package, halves in SVG
 def frame_figures(
     dataset: xr.Dataset, report: Report, model: Predictions | Predictor, options: EvaluationOptions, numbers: Sequence[int]
 ) -> list[Html]:
-    """Figures of the frames of these numbers; none where the dataset has no depth."""
+    """Figures of the frames of these numbers, of a model in 3D in their clouds as well; none where the dataset has no depth."""
     if "depth" not in dataset:
         return []
     skeleton = skeleton_with(report.joint_sets[ALL], report.skeleton)
@@ -38,10 +39,14 @@ def frame_figures(
             uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
         truth = truth_of(dataset.sel(frame=[number]), skeleton)
         frame = rest.sel(frame=[number]).assign(truth).isel(frame=0).load()
+        found = np.where(batch.presence[..., None] >= options.presence, batch.joints_3d, np.nan)[0][:, columns]
         points = None
         if not np.isfinite(batch.joints_2d).any():  # a model of 3D joints alone: their depths show from the side
-            points = np.where(batch.presence[..., None] >= options.presence, batch.joints_3d, np.nan)[0][:, columns]
+            points = found
         figures.append(overlay(frame, skeleton, uv, model.persons, options.match == "slot", points=points))
+        if np.isfinite(found).any():
+            views = cloud_views(frame, skeleton.limbs, [(frame["joints_3d"].values, TRUTH), (found, PREDICTION)])
+            figures.append(figure(views, f"frame {number} in its cloud"))
     return figures
 
 
