@@ -6,6 +6,7 @@ import csv
 import math
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from lightning.pytorch.callbacks import Callback
 
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.segmentation import class_table
+from cabinpose.estimate import train_config
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
 from cabinpose.estimate.found import Found
@@ -154,7 +156,7 @@ frames = StoredFrames(small.dataset(8), frame_spec(c))
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 400_000_000,) * 2)
 try:
-    fit(c, frames, frames, Path({str(tmp_path)!r}), machines=Machines(1))
+    fit(c, frames, frames, Path({str(tmp_path)!r}), machines=ONE)
 except ConfigError as error:
     print(error)
 """
@@ -384,3 +386,47 @@ def test_keywords_of_before_warn_and_mean_the_same(tmp_path: Path) -> None:
     assert told
     with pytest.raises(TypeError, match="unexpected keyword argument 'device'"):
         fit(c, frames(c), frames(c), tmp_path, device=1)
+
+
+@pytest.mark.parametrize(
+    ("flags", "asked", "used"),
+    [
+        ("flags\t\t: fpu avx2 avx512f avx512_bf16\n", "bf16-mixed", "bf16-mixed"),
+        ("flags\t\t: fpu avx2 avx512f amx_bf16\n", "16-mixed", "16-mixed"),
+        ("Features\t: fp asimd bf16\n", "bf16-mixed", "bf16-mixed"),
+        ("flags\t\t: fpu avx2 avx512f\n", "bf16-mixed", "32-true"),
+        ("flags\t\t: fpu avx2\n", "16-mixed", "32-true"),
+        ("flags\t\t: fpu avx2\n", "32-true", "32-true"),
+        (None, "bf16-mixed", "32-true"),  # not Linux
+    ],
+)
+def test_a_cpu_that_emulates_bfloat16_trains_in_float32_and_says_so(
+    flags: str | None, asked: str, used: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cpu = tmp_path / "cpuinfo"
+    if flags is not None:
+        cpu.write_text(flags)
+    monkeypatch.setattr(train_config, "_CPU_INFO", cpu)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert train_config.usable_precision(asked) == used
+    told = [str(each.message) for each in caught]
+    assert (told == []) == (asked == used)
+    assert all(f"32-true in place of {asked}" in line and "\n" not in line for line in told)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert train_config.usable_precision(asked) == asked
+
+
+def test_a_run_in_bfloat16_is_the_one_in_float32_where_the_cpu_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train_config, "_CPU_INFO", tmp_path / "nothing")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    told = {}
+    for precision in ("32-true", "bf16-mixed"):
+        c = config("compact", epochs=1, precision=precision)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            fit(c, frames(c), frames(c), tmp_path / precision, machines=ONE)
+        told[precision] = [str(each.message) for each in caught if "in place of" in str(each.message)]
+    assert [len(lines) for lines in told.values()] == [0, 1]
+    assert curve(tmp_path / "bf16-mixed") == curve(tmp_path / "32-true")

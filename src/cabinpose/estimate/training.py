@@ -37,7 +37,7 @@ from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
 from cabinpose.estimate.onnx_model import packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
-from cabinpose.estimate.train_config import Machines, Observers, Start, with_old_keywords
+from cabinpose.estimate.train_config import Machines, Observers, Start, usable_precision, with_old_keywords
 from cabinpose.estimate.train_config import TrainConfig as TrainConfig
 from cabinpose.estimate.weights import measure_norms, read_weights
 
@@ -244,7 +244,7 @@ def fit(
     reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
-            default_root_dir=out, max_epochs=config.epochs, precision=config.precision, devices=machines.devices,
+            default_root_dir=out, max_epochs=config.epochs, precision=usable_precision(config.precision), devices=machines.devices,
             num_nodes=machines.nodes, callbacks=[*average, best, newest, curves, *reports, *observers.callbacks],
             logger=_loggers(out), num_sanity_val_steps=0, log_every_n_steps=10, enable_model_summary=False,
             enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
