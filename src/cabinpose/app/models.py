@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cabinpose.core import Camera, ConfigError, Predictor, Segmenter, Visibility, require_images
-from cabinpose.estimate import LiftedPredictor, Lifter, camera_of, lifted, open_model
+from cabinpose.core import Camera, ConfigError, DriveSide, Predictor, Segmenter, Visibility, require_images
+from cabinpose.estimate import JointPredictor, LiftedPredictor, Lifter, camera_of, lifted, open_model
 from cabinpose.estimate.remote import SCHEME, open_predictor
-from cabinpose.evaluate import check_predictions
+from cabinpose.evaluate import check_predictions, model_name
 from cabinpose.store import Predictions, image_names, read_predictions
 
 TRUTH = "truth"
@@ -67,6 +67,24 @@ def check_chosen(images: Sequence[str], models: Sequence[str]) -> None:
             f"--images {' '.join(images)} is for models on servers: ours read what they were trained on",
             hint="leave out --images, or name a model as grpc://HOST:PORT/MODEL",
         )
+
+
+def tell_drive_side(models: Sequence[Model], side: DriveSide | None) -> None:
+    """Tell the models that tell seats by place where the wheel is; None: they go by what the frames or their files say.
+
+    Raises ConfigError where none of them does.
+    """
+    if side is None:
+        return
+    bases = [model.base if isinstance(model, LiftedPredictor) else model for model in models]
+    placed = [base for base in bases if isinstance(base, JointPredictor) and base.seats_by_place]
+    if not placed:
+        raise ConfigError(
+            f"--drive-side says nothing to {', '.join(map(model_name, models))}",
+            hint="leave it out: paf, dpm and walks alone tell seats by place; a server is told by `serve --drive-side`",
+        )
+    for base in placed:
+        base.drive_side = side
 
 
 def _opened(name: str, images: Sequence[str]) -> Predictor | Segmenter | Lifter:

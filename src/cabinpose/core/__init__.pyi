@@ -56,6 +56,7 @@ from .ports import joined as joined
 from .ports import require_images as require_images
 from .pose import OCCUPANT_SLOTS as OCCUPANT_SLOTS
 from .pose import STANDING_SLOT as STANDING_SLOT
+from .pose import DriveSide as DriveSide
 from .pose import Visibility as Visibility
 from .registry import Registry as Registry
 from .registry import one_of as one_of

@@ -27,6 +27,7 @@ class FrameBatch(TypedDict):
     that ask for them (`images_of`): uint8, uint16 µm (0 = unknown), float32 m (NaN = invalid), uint8 classes, (N, H, W, 3) uint8
     sRGB, uint16.
     cloud: (N, H, W, 3) float32 m, each pixel's point in the camera frame, NaN where depth is; for those that ask for it.
+    drive_side: (N,) str, where the wheel is: "left", "right", "" = not known; left out where nothing says it.
     frame, sync_ns: (N,) int64, the frames' numbers and time stamps on the common clock; for messages and detectors elsewhere.
     """
 
@@ -41,6 +42,7 @@ class FrameBatch(TypedDict):
     rgb: NotRequired[NDArray[np.uint8]]
     nir: NotRequired[NDArray[np.uint16]]
     cloud: NotRequired[NDArray[np.float32]]
+    drive_side: NotRequired[NDArray[Any]]
     frame: NotRequired[NDArray[np.int64]]
     sync_ns: NotRequired[NDArray[np.int64]]
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Literal
 
 # Places of people in a car, in the order of a dataset.
 OCCUPANT_SLOTS: tuple[str, ...] = ("driver", "front_passenger", "rear_left", "rear_center", "rear_right")
 
+DriveSide = Literal["left", "right"]
+"""Where a car's wheel is, as the driver sees it."""
 STANDING_SLOT = "standing"  # the place of somebody who is in no car
 
 

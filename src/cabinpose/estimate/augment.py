@@ -20,14 +20,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.found import mirrored_slots as mirrored_slots
 from cabinpose.scene import LABEL_ID
 
 _BEHIND_M = 0.1  # a pixel farther than that behind its neighbours is seen through a hole in their surface
 Probability = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0)]
 _Shares = tuple[float, float, float]
-_SLOT_PAIRS = (("rear_left", "rear_right"),)  # the driver stays at the wheel of the mirrored car
-_FACING_PAIR = ("driver", "front_passenger")  # on benches that face each other there is no wheel: left and right as behind
 
 
 class AugmentConfig(BaseModel):
@@ -60,17 +59,6 @@ class Mirror(NamedTuple):
     slots: Sequence[int]
     facing_slots: Sequence[int]
     labels: Tensor
-
-
-def mirrored_slots(slots: Sequence[str], *, facing: bool = False) -> list[int]:
-    """For each place the position of its mirror place; `facing`: on benches that face each other, the front row backwards.
-
-    A place whose partner is not among them stays itself.
-    """
-    pairs = (*_SLOT_PAIRS, _FACING_PAIR) if facing else _SLOT_PAIRS
-    other = dict(pairs) | {b: a for a, b in pairs}
-    position = {slot: i for i, slot in enumerate(slots)}
-    return [position.get(other.get(slot, slot), i) for slot, i in position.items()]
 
 
 def mirrored_labels() -> NDArray[np.uint8]:

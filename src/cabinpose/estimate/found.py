@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cabinpose.estimate.settings import ViewSettings
+
+_SLOT_PAIRS = (("rear_left", "rear_right"),)  # the driver stays at the wheel of the mirrored car
+_FACING_PAIR = ("driver", "front_passenger")  # on benches that face each other there is no wheel: left and right as behind
 
 
 class Found(NamedTuple):
@@ -22,7 +28,31 @@ class Found(NamedTuple):
     presence: NDArray[np.float64]
     spreads: NDArray[np.float64] | None = None
 
+    def map(self, change: Callable[..., NDArray[np.float64]], *others: Found) -> Found:
+        """What `change` makes of each array, and of that of other answers of the same model."""
+        arrays = [change(*each) for each in zip(self, *others, strict=True) if each[0] is not None]
+        return Found(*arrays)
+
 
 def sigmoid(logit: NDArray[Any]) -> NDArray[np.float64]:
     """1 / (1 + exp(-x)), without overflow."""
     return np.asarray(0.5 * (1.0 + np.tanh(0.5 * np.asarray(logit, dtype=np.float64))))
+
+
+def mirrored_slots(slots: Sequence[str], *, facing: bool = False) -> list[int]:
+    """For each place the position of its mirror place; `facing`: on benches that face each other, the front row backwards.
+
+    A place whose partner is not among them stays itself.
+    """
+    pairs = (*_SLOT_PAIRS, _FACING_PAIR) if facing else _SLOT_PAIRS
+    other = dict(pairs) | {b: a for a, b in pairs}
+    position = {slot: i for i, slot in enumerate(slots)}
+    return [position.get(other.get(slot, slot), i) for slot, i in position.items()]
+
+
+def mirrored(found: Found, settings: ViewSettings) -> Found:
+    """What was found in the mirror images of frames as it is in the frames themselves."""
+    slots, joints = mirrored_slots(settings.slots), list(settings.joint_set.mirror)
+    swapped = found.map(lambda values: values[:, slots][:, :, joints])
+    u = settings.view.width - 1 - swapped.uv[..., :1]
+    return swapped._replace(uv=np.concatenate((u, swapped.uv[..., 1:]), axis=-1), joints_3d=swapped.joints_3d * (-1.0, 1.0, 1.0))

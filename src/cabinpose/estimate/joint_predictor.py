@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, joined
 from cabinpose.estimate.expected_error import expected_errors
-from cabinpose.estimate.found import Found
+from cabinpose.estimate.found import Found, mirrored
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, slices, view_inputs
+from cabinpose.estimate.settings import PlacedSettings
 
 # Median of amplitude times squared depth (m) over a generated frame, and where a model begins to fail: at a tenth of it the
 # median error of `in_car` is 2.5 cm in place of 1.0, at a hundredth 52, at ten times as much 1.4 and at a hundred times 3.3.
@@ -30,6 +31,12 @@ class JointPredictor:
         """model: of a method whose task is joints."""
         self.model, self.config = model, model.config
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
+        self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
+
+    @property
+    def seats_by_place(self) -> bool:
+        """Whether seats are told by where people are in the image, so that the model has to be told where the wheel is."""
+        return isinstance(self.config, PlacedSettings)
 
     @property
     def images(self) -> tuple[str, ...]:
@@ -42,8 +49,28 @@ class JointPredictor:
         for which in slices(len(frames["depth"])):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
-            batches.append(self.poses(self.model.run(seen), cameras))
+            batches.append(self.poses(self._found(seen, self._turned(frames, which, len(cameras))), cameras))
         return joined(batches)
+
+    def _turned(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.bool_]:
+        """(N,) whether the wheel is on the other side than in the cars that the model has learnt from."""
+        if not self.seats_by_place:
+            return np.zeros(count, np.bool_)
+        told = np.full(count, self.drive_side) if self.drive_side or "drive_side" not in frames else frames["drive_side"][which]
+        known = np.where(told == "", self.model.drive_side, told)
+        return np.asarray((known != "") & (known != self.config.drive_side))
+
+    def _found(self, seen: dict[str, NDArray[np.float32]], turned: NDArray[np.bool_]) -> Found:
+        """The model's answers; from the mirror image where the wheel is on the other side, and so where it was learnt."""
+        if not turned.any():
+            answer: Found = self.model.run(seen)
+            return answer
+
+        def chosen(plain: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
+            return np.where(turned.reshape(-1, *[1] * (plain.ndim - 1)), other, plain)
+
+        found: Found = self.model.run({name: chosen(images, images[..., ::-1]) for name, images in seen.items()})
+        return found.map(chosen, mirrored(found, self.config))
 
     def __call__(
         self,

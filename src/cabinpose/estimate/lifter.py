@@ -37,19 +37,19 @@ class LiftedPredictor:
 
     def __init__(self, base: Predictor, lifting: Lifter) -> None:
         """Raises ConfigError where base and lifting have no joint in common."""
-        self._base, self._lifting = base, lifting
+        self.base, self._lifting = base, lifting
         self.name, self.persons, self.joints = f"{base.name}+{lifting.name}", base.persons, base.joints
         _common(base.joints, lifting, base.name)
 
     @property
     def images(self) -> tuple[str, ...]:
         """The images that the predictor of 2D joints reads."""
-        return images_of(self._base)
+        return images_of(self.base)
 
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames; 3D joints where the base has 2D ones of people with enough of them."""
-        found = self._base.predict(frames)
-        return lifted(found, self.joints, cameras_of(frames, slice(0, len(found.score))), self._lifting, self._base.name)
+        found = self.base.predict(frames)
+        return lifted(found, self.joints, cameras_of(frames, slice(0, len(found.score))), self._lifting, self.base.name)
 
 
 def lifted(found: PoseBatch, joints: Sequence[str], cameras: Sequence[Camera], lifting: Lifter, source: str) -> PoseBatch:

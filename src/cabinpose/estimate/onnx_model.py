@@ -23,6 +23,7 @@ from cabinpose.estimate.inputs import InputView, camera_of
 from cabinpose.estimate.methods import Method, NetworkMethod, method_of
 
 METADATA_KEY = "cabinpose"
+DRIVE_SIDE = "drive_side"  # in the metadata
 BATCH = 16  # frames that go through a network at a time
 
 
@@ -45,6 +46,7 @@ class TrainedModel(ABC):
         if not isinstance(self.method, self.kind):
             raise ModelError(f"{path} cannot be a model of {self.method.name}", hint=self._again)
         self.name = str(self.metadata.get("name", path.stem))
+        self.drive_side = str(self.metadata.get(DRIVE_SIDE, ""))  # of the cars that it is for; "" = as the frames say
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
         self.skeleton: str = self.config.joint_set.name
@@ -55,7 +57,7 @@ class TrainedModel(ABC):
 
     def describe(self) -> dict[str, Any]:
         """What the file says of itself, as plain data: name, file, bytes, method, task, view, inputs, persons, joints, parts,
-        mirrored, settings, expected_error (where its confidence was calibrated: data, frames, joints), card.
+        mirrored, drive_side, settings, expected_error (where its confidence was calibrated: data, frames, joints), card.
         """
         return {
             "name": self.name,
@@ -69,6 +71,7 @@ class TrainedModel(ABC):
             "joints": list(self.joints),
             "parts": [part.name for part in getattr(self.config, "parts", ())],
             "mirrored": bool(self.metadata.get("mirrored", False)),
+            DRIVE_SIDE: self.drive_side,
             "settings": self.metadata["config"],
             EXPECTED_ERROR: self.metadata.get(EXPECTED_ERROR, {}),
             "card": self.metadata.get("card", {}),

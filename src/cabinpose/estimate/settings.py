@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, OTHER_SKELETONS, Skeleton
+from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, OTHER_SKELETONS, DriveSide, Skeleton
 from cabinpose.estimate.inputs import InputView
 
 _FOCAL_PER_WIDTH = 139 / 352  # 103 deg across: all but 0.1 % of the joints that a Monstar sees, which 95.5 deg lose 6 % of
@@ -65,7 +65,13 @@ class ViewSettings(Settings):
         return InputView(self.width, self.height, focal, self.max_depth_m)
 
 
-class BodySettings(ViewSettings):
+class PlacedSettings(ViewSettings):
+    """The settings of a method that tells seats by where people are in the image, and so has to know where the wheel is."""
+
+    drive_side: Annotated[DriveSide, Field(description="Side of the wheel in the cars that it learns from.")] = "left"
+
+
+class BodySettings(PlacedSettings):
     """The settings of a method that can predict the upper body alone, and that ties joints along the limbs."""
 
     body: Annotated[BodyName, Field(description="Joints: the upper body's 14, all 20, or those of another set.")] = "upper"

@@ -29,10 +29,11 @@ from torch.utils.data import DataLoader
 
 from cabinpose.core import ConfigError, ModelError, check_archive
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
-from cabinpose.estimate.augment import Mirror, mirrored_labels, mirrored_slots
+from cabinpose.estimate.augment import Mirror, mirrored_labels
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate
+from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
 from cabinpose.estimate.onnx_model import packaged_models
@@ -244,9 +245,10 @@ def fit(
     reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
     with _quiet(), _too_little_memory(config.batch, last):
         trainer = lightning.Trainer(
-            default_root_dir=out, max_epochs=config.epochs, precision=usable_precision(config.precision), devices=machines.devices,
-            num_nodes=machines.nodes, callbacks=[*average, best, newest, curves, *reports, *observers.callbacks],
-            logger=_loggers(out), num_sanity_val_steps=0, log_every_n_steps=10, enable_model_summary=False,
+            default_root_dir=out, max_epochs=config.epochs, precision=usable_precision(config.precision),
+            devices=machines.devices, num_nodes=machines.nodes,
+            callbacks=[*average, best, newest, curves, *reports, *observers.callbacks], logger=_loggers(out),
+            num_sanity_val_steps=0, log_every_n_steps=10, enable_model_summary=False,
             enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
         )  # fmt: skip
         detector = Detector(config)

@@ -269,7 +269,7 @@ def frame_batch(dataset: xr.Dataset, frames: slice, images: Sequence[str] = ("de
     if "depth" in images and "depth" not in dataset:
         raise DatasetError("the dataset has no depth for a detector to see", hint="evaluate a predictions file instead")
     usual = [name for name in ("depth", "amplitude") if name in dataset]
-    rest = ("camera_k", "camera_dist", "frame", "sync_ns")
+    rest = ("camera_k", "camera_dist", "drive_side", "frame", "sync_ns")
     found = frame_images(dataset, frames, list(dict.fromkeys([*usual, *images])))
     return cast("FrameBatch", found | {name: dataset[name].isel(frame=frames).values for name in rest if name in dataset})
 

@@ -131,6 +131,8 @@ VARIABLES: tuple[Variable, ...] = (
         coordinate=True, default=False,
     ),
     Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
+    Variable("drive_side", ("frame",), "str", "where the wheel is: left, right; empty = there is none, or it is not known",
+             coordinate=True, default=False),
     Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
     Variable("light", ("frame",), "str", "the light of rgb and nir", coordinate=True, default=False),
     Variable("renderer", ("frame",), "str", "what made rgb and nir", coordinate=True, default=False),

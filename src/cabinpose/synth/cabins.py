@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
+from cabinpose.core import DriveSide
 from cabinpose.scene.cabin import PRESETS, Cabin, CabinDimensions, build_cabin, random_dimensions
 from cabinpose.synth.cars import ChangedPreset, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.once import cached_once
 from cabinpose.synth.streams import CAR_STREAM, frame_rng
 from cabinpose.synth.validate import Validator
-
-DriveSide = Literal["left", "right"]
 
 
 class Cabins:

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cabinpose.core import DriveSide
 from cabinpose.scene import Room, furnish_room
-from cabinpose.synth.cabins import Cabins, DriveSide
+from cabinpose.synth.cabins import Cabins
 from cabinpose.synth.cars import is_random_car
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.once import cached_once

@@ -52,6 +52,12 @@ class FrameFacts:
         """The sensor's intrinsics."""
         return self.config.camera.sensor_model.camera
 
+    @property
+    def drive_side(self) -> str:
+        """Where the wheel of a car is; empty where there is none, as on benches that face each other."""
+        cabin = self.scene.cabin
+        return "" if cabin is None or cabin.steering_wheel is None else cabin.drive_side
+
     def each(self, of: Callable[[ScenePerson], Any], nobody: Any = "") -> list[Any]:
         """(P,) a value of whoever is in each place; `nobody` where nobody is."""
         found = {person.slot: of(person) for person in self.scene.people}
@@ -137,6 +143,7 @@ TABLE: tuple[Made, ...] = (
     _one("subject", lambda facts: facts.each(lambda person: person.subject)),
     _one("action", lambda facts: facts.each(lambda person: person.action)),
     _one("car", lambda facts: facts.scene.place),
+    _one("drive_side", lambda facts: facts.drive_side, lambda config: config.output.drive_side),
     _one("pov", lambda facts: facts.scene.pov),
 )
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Optional, TypeVar, Union
 from tyro.conf import Positional, arg, subcommand
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from cabinpose.core import ConfigError, DatasetError, Visibility
+from cabinpose.core import ConfigError, DatasetError, DriveSide, Visibility
 
 
 def several(metavar: str) -> Any:
@@ -53,6 +53,15 @@ class PrintsJson:
 
     as_json: Annotated[bool, arg(name="json")] = False
     """Print one JSON object on stdout."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunsModels(PrintsJson):
+    """The flag of the verbs that run detectors in cars."""
+
+    drive_side: Maybe[DriveSide] = None
+    """Side of the wheel, for models that tell seats by place (paf, dpm, walks); default: as the dataset or the model's file
+    says."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, SelectsFrames, metres, refuse_existing, renamed, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, metres, refuse_existing, renamed, several
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
 from cabinpose.core import ConfigError, DatasetError
@@ -33,7 +33,7 @@ _USUAL = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(SelectsFrames):
+class Evaluate(RunsModels, SelectsFrames):
     """Compare predictions, or models, with a dataset: a table by joint group, and with --out a page and report.json.
 
     Several predictions files and models are compared on the joints that all of them predict. Segmentations of body parts are
@@ -86,7 +86,7 @@ def run(command: Evaluate) -> None:
 
 def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
     from cabinpose.app.cli.selection import opened, selected
-    from cabinpose.app.models import opened_models
+    from cabinpose.app.models import opened_models, tell_drive_side
     from cabinpose.core import Segmenter
     from cabinpose.evaluate import check_predictions, common_joints, frame_distances, make_report, model_name, samples_of
     from cabinpose.store import SUFFIX, dataset_id, read_class_images, read_manifest, read_predictions
@@ -103,6 +103,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     dataset = selected(whole, command)
     opened_now = opened_models(command.model, dataset, command.joints_from, names, command.images)
     chosen = [*_with_own_names(files, paths), *images, *opened_now]
+    tell_drive_side(chosen, command.drive_side)
     segmenters = [model for model in chosen if isinstance(model, Segmenter)]
     models = [model for model in chosen if not isinstance(model, Segmenter)]
     if segmenters and models:

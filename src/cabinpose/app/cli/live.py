@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, several
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
@@ -29,7 +29,7 @@ _LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveCommand(PrintsJson):
+class LiveCommand(RunsModels):
     """Run detectors on frames as they come, and say how long each takes from its arrival to its joints.
 
     Of a camera the newest frame is taken and older ones are left out; of a dataset or a recording every frame is, unless
@@ -73,6 +73,7 @@ def run(command: LiveCommand) -> int:
     require("record")
     from cabinpose.app.live.choose import open_feed, parsed_settings
     from cabinpose.app.live.run import Live
+    from cabinpose.app.models import tell_drive_side
     from cabinpose.store import check_new_predictions
 
     _check(command)
@@ -81,6 +82,7 @@ def run(command: LiveCommand) -> int:
     settings = parsed_settings(command.settings)
     feed = open_feed(command.source, settings, realtime=command.realtime, out=command.record)
     models = load(command.model, command.images)
+    tell_drive_side(models, command.drive_side)
     live = Live(feed, models, skip_errors=command.skip_errors, keep=_keeps(command, feed))
     with asked_to_stop("ending") as asked, _shown() as show:
         until = time.monotonic() + (command.duration or float("inf"))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from cabinpose.app.cli.arguments import DatasetArgument, Maybe, SelectsFrames, several
+from cabinpose.app.cli.arguments import DatasetArgument, Maybe, RunsModels, SelectsFrames, several
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
 from cabinpose.core import ConfigError
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predict(SelectsFrames):
+class Predict(RunsModels, SelectsFrames):
     """Run a model over a dataset and write the joints that it finds as a predictions file, or its body parts as label images."""
 
     dataset: DatasetArgument
@@ -46,7 +46,7 @@ COMMAND = Predict
 def run(command: Predict) -> None:
     """Run the model over the frames in their order and write the predictions."""
     from cabinpose.app.cli.selection import selected
-    from cabinpose.app.models import opened_models
+    from cabinpose.app.models import opened_models, tell_drive_side
     from cabinpose.core import Segmenter
     from cabinpose.evaluate import model_name, predict_dataset
     from cabinpose.store import (
@@ -66,6 +66,7 @@ def run(command: Predict) -> None:
     dataset = selected(open_dataset(command.dataset), command)
     name = dataset_id(read_manifest(command.dataset))
     [model] = opened_models([command.model], dataset, command.joints_from, (name, command.dataset.resolve().name), command.images)
+    tell_drive_side([model], command.drive_side)
     count = dataset.sizes["frame"]
     if isinstance(model, Segmenter):
         if not of_parts:

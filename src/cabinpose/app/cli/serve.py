@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson
+from cabinpose.app.cli.arguments import Maybe, RunsModels
 from cabinpose.app.cli.interrupt import interrupted_by_all
 
 
 @dataclass(frozen=True, kw_only=True)
-class Serve(PrintsJson):
+class Serve(RunsModels):
     """Serve a model by the Open Inference Protocol v2 over gRPC, for `--model grpc://HOST:PORT/NAME`.
 
     Ctrl-C ends it, and so do SIGTERM and SIGHUP, when the calls under way are answered.
@@ -46,10 +46,13 @@ def run(command: Serve) -> None:
     if not 0 <= command.port <= 65535 or not 1 <= command.max_message_mb <= 1024:
         raise ConfigError("--port is from 0 to 65535, --max-message-mb from 1 to 1024", hint="leave them out for 8001 and 64")
     need_protocol()
+    from cabinpose.app.models import tell_drive_side
     from cabinpose.app.serve import start_server
 
+    predictor = open_predictor(command.model)
+    tell_drive_side([predictor], command.drive_side)
     server = start_server(
-        open_predictor(command.model),
+        predictor,
         name=command.name,
         host=command.host,
         port=command.port,

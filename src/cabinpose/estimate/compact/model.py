@@ -15,10 +15,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from cabinpose.estimate.augment import mirrored_slots
 from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.compact.config import BackboneConfig, CompactConfig
 from cabinpose.estimate.compact.refine import Refine
+from cabinpose.estimate.found import mirrored_slots
 
 STRIDE = 8
 _VALUES = 6  # of a vote: weight, offset in u and v, depth, inside, visible

@@ -7,12 +7,12 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from cabinpose.core import SKELETONS, Skeleton, SkeletonName
-from cabinpose.estimate.settings import ViewSettings
+from cabinpose.estimate.settings import PlacedSettings
 
 _Count = Annotated[int, Field(ge=1)]
 
 
-class WalksConfig(ViewSettings):
+class WalksConfig(PlacedSettings):
     """Random tree walks: the view, how trees are grown and how walks go."""
 
     width: Annotated[int, Field(ge=16, le=1024, multiple_of=8, description="Width of the view (px).")] = 320

@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 
-from cabinpose.core import ConfigError, Matrix, apply, invert, unknown_name
+from cabinpose.core import ConfigError, DriveSide, Matrix, apply, invert, unknown_name
 from cabinpose.scene.cabin import cockpit, shell
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.layout import Layout
@@ -29,7 +28,6 @@ from cabinpose.scene.cabin.seats import STYLES, SeatShape, SeatStand, seat_parts
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, join, tube
 
-DriveSide = Literal["left", "right"]
 _FRONT, _REAR = ("driver", "front_passenger"), ("rear_left", "rear_center", "rear_right")
 # What every cabin has that is built here, whatever its dimensions.
 SEATS_OF_ALL = ("driver", "front_passenger", "rear_left", "rear_right")
