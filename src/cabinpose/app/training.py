@@ -126,21 +126,23 @@ def generated_frames(config: SynthConfig, spec: FrameSpec, frames: int, seed: in
     lacking = [slot for slot in spec.slots if slot not in persons]
     if lacking:
         raise ConfigError(f"the scenes have no place {', '.join(lacking)}", hint=f"set slots to some of: {', '.join(persons)}")
-    training = GeneratedFrames(_Maker(config, seed), frames, spec, persons)
-    return training, GeneratedFrames(_Maker(config, seed + 1), max(frames // 10, 1), spec, persons)
+    if spec.rgb and (config.images is None or "rgb" not in config.images.variables):
+        raise ConfigError("the scenes have no rgb", hint="add images: {variables: [rgb]} to the file of --synth")
+    training = GeneratedFrames(_Maker(config, seed, pictures=spec.rgb), frames, spec, persons)
+    return training, GeneratedFrames(_Maker(config, seed + 1, pictures=spec.rgb), max(frames // 10, 1), spec, persons)
 
 
 class _Maker:
     """Frames of the dataset standard by their number; each process that reads them makes its own bodies and cabins."""
 
-    def __init__(self, config: SynthConfig, seed: int) -> None:
-        self._config, self._seed = config, seed
+    def __init__(self, config: SynthConfig, seed: int, *, pictures: bool) -> None:
+        self._config, self._seed, self._pictures = config, seed, pictures
         self._maker: FrameMaker | None = None
 
     def __call__(self, index: int) -> dict[str, Any]:
         if self._maker is None:
-            self._maker = FrameMaker(self._config, self._seed, pictures=False)
+            self._maker = FrameMaker(self._config, self._seed, pictures=self._pictures)
         return dict(self._maker.make(index)[0])
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_config": self._config, "_seed": self._seed, "_maker": None}
+        return vars(self) | {"_maker": None}

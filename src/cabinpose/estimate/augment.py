@@ -114,8 +114,9 @@ def augment(
         depth = torch.where(uniform(n, 1, 1) < config.rescale, depth * guess, depth)
     factor = torch.exp((2 * uniform(n, 1, 1) - 1) * math.log(config.gain))
     amplitude = None if batch.amplitude is None else batch.amplitude * factor
+    rgb = None if batch.rgb is None else (batch.rgb * factor.sqrt()[:, None]).clamp(max=255)
     return occlude(
-        batch._replace(depth=depth, amplitude=amplitude), chance(config.occluder, depth, generator), generator=generator
+        batch._replace(depth=depth, amplitude=amplitude, rgb=rgb), chance(config.occluder, depth, generator), generator=generator
     )
 
 
@@ -175,6 +176,7 @@ def move(batch: Batch, rotation: Tensor, shift: Tensor, rays: Tensor, focal: flo
         visibility=torch.where(keep, batch.visibility, _states_after(batch.visibility, uvz, w, h)),
         amplitude=None if batch.amplitude is None else carried(batch.amplitude),
         labels=None if batch.labels is None else carried(batch.labels),
+        rgb=None if batch.rgb is None else torch.stack([carried(channel) for channel in batch.rgb.unbind(1)], dim=1),
     )
 
 
@@ -241,6 +243,7 @@ def flip(batch: Batch, chosen: Tensor, mirror: Mirror, width: int) -> Batch:
         present=torch.where(one, batch.present[frames, slots], batch.present),
         amplitude=None if batch.amplitude is None else torch.where(two, batch.amplitude.flip(-1), batch.amplitude),
         labels=None if batch.labels is None or labels is None else torch.where(two, labels, batch.labels),
+        rgb=None if batch.rgb is None else torch.where(three, batch.rgb.flip(-1), batch.rgb),
     )
 
 
@@ -265,9 +268,13 @@ def occlude(batch: Batch, chosen: Tensor, *, generator: torch.Generator) -> Batc
     if amplitude is not None:
         amplitude = torch.where(inside, amplitude.mean((1, 2), keepdim=True), amplitude)
     labels = None if batch.labels is None else torch.where(inside, 0, batch.labels).to(batch.labels.dtype)
+    rgb = batch.rgb
+    if rgb is not None:
+        rgb = torch.where(inside[:, None], rgb.mean((2, 3), keepdim=True), rgb)
     return batch._replace(
         depth=torch.where(inside, plate, batch.depth),
         amplitude=amplitude,
         labels=labels,
+        rgb=rgb,
         visibility=torch.where(behind & (batch.visibility > 2), 2, batch.visibility).to(batch.visibility.dtype),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -16,7 +17,8 @@ class Batch(NamedTuple):
     depth: (N, h, w) m, 0 = invalid; (N, 0, 0) for a method without images · joints: (N, S, J, 3) u, v (px) and depth (m), NaN
     unknown · visibility: (N, S, J) uint8, the five states of the standard · present: (N, S) bool, somebody the camera sees
     sits there · amplitude: (N, h, w), or None where the method does not read it · labels: (N, h, w) uint8 classes of the
-    pixels, or None where the method does not need them · facing: (N,) bool, benches face each other; None: nowhere.
+    pixels, or None where the method does not need them · facing: (N,) bool, benches face each other; None: nowhere · rgb: (N, 3,
+    h, w) sRGB, 0 to 255, or None where the method does not read it.
     """
 
     depth: Tensor
@@ -26,6 +28,14 @@ class Batch(NamedTuple):
     amplitude: Tensor | None = None
     labels: Tensor | None = None
     facing: Tensor | None = None
+    rgb: Tensor | None = None
+
+    def images(self, names: Sequence[str]) -> tuple[Tensor, ...]:
+        """The images of these names, as a network takes them. Raises ValueError for one that was not read."""
+        images: tuple[Tensor | None, ...] = tuple(getattr(self, name) for name in names)
+        if any(image is None for image in images):
+            raise ValueError(f"this model reads {', '.join(names)}")
+        return tuple(image for image in images if image is not None)
 
 
 def ray_tensor(view: InputView) -> Tensor:

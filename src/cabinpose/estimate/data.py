@@ -18,9 +18,10 @@ from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
 from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.inputs import TICK_M, InputView, Kept, camera_of
+from cabinpose.estimate.inputs import TICK_M, InputView, Kept, camera_of, channels_first
 from cabinpose.store import joint_dimension, joints_variable
 
+_IMAGES = {"depth": 2, "amplitude": 2, "labels": 1, "rgb": 3}  # bytes of a pixel as it is kept
 _SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
 
 
@@ -41,11 +42,12 @@ class FrameSpec(NamedTuple):
     labels: bool = False
     depth_image: str = "depth"
     classes: tuple[int, ...] = ()
+    rgb: bool = False
 
     @property
     def images(self) -> tuple[str, ...]:
         """The dataset's images that are read."""
-        return tuple(self.depth_image if n == "depth" else n for n in ("depth", "amplitude", "labels") if getattr(self, n))
+        return tuple(self.depth_image if n == "depth" else n for n in _IMAGES if getattr(self, n))
 
     @property
     def columns(self) -> list[int]:
@@ -94,7 +96,7 @@ def joined(frames: Sequence[Frames]) -> Frames:
 
 def fits_memory(frames: int, spec: FrameSpec) -> bool:
     """Whether that many frames, as they are kept, fill less than half of the memory that is free."""
-    bytes_per_pixel = sum(1 if name == "labels" else 2 for name in spec.images)
+    bytes_per_pixel = sum(size for name, size in _IMAGES.items() if getattr(spec, name))
     return frames * spec.view.width * spec.view.height * bytes_per_pixel < 0.5 * psutil.virtual_memory().available
 
 
@@ -136,9 +138,8 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
         )
     absent = [name for name in spec.images if name not in dataset]
     if absent:
-        raise DatasetError(
-            f"the dataset has no {', '.join(absent)}", hint="generate it with these variables, or choose a method without them"
-        )
+        how = "with images={variables: [rgb]}" if absent == ["rgb"] else "with these variables"
+        raise DatasetError(f"the dataset has no {', '.join(absent)}", hint=f"generate it {how}, or choose a method without them")
     whole, found = SKELETONS[spec.skeleton].joints, tuple(dataset[joint_dimension(spec.skeleton)].values)
     if found != whole:
         raise DatasetError(
@@ -163,13 +164,13 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
     visibility = states if spec.skeleton == CABINPOSE.name else _in_view(uvz, view)
     if spec.depth:  # the camera may see more than the view
         visibility = np.where((visibility > 1) & ~view.camera.contains(uvz[..., :2]), Visibility.OUTSIDE_IMAGE, visibility)
-    images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in ("depth", "amplitude", "labels")}
+    images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in _IMAGES}
     for name in spec.images:
-        source = camera_of(frame["camera_k"], frame["camera_dist"], *frame[name].shape[::-1])
+        source = camera_of(frame["camera_k"], frame["camera_dist"], *frame[name].shape[1::-1])
         if name == spec.depth_image:
             images["depth"] = np.round(view.depth(frame[name], source) / TICK_M)
         else:
-            images[name] = view.resample(frame[name], source)
+            images[name] = view.resample(channels_first(frame[name]) if name == "rgb" else frame[name], source)
     return Kept(
         images["depth"].astype(np.uint16),
         uvz[:, spec.columns].astype(np.float32),
@@ -178,6 +179,7 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
         images["amplitude"].astype(np.uint16),
         images["labels"].astype(np.uint8),
         np.array(_facing(frame, spec, joints)),
+        images["rgb"].astype(np.uint8),
     )
 
 
@@ -209,4 +211,5 @@ def collate(frames: Sequence[Kept]) -> Batch:
         torch.from_numpy(stacked.amplitude.astype(np.float32)) if stacked.amplitude.size else None,
         torch.from_numpy(stacked.labels) if stacked.labels.size else None,
         torch.from_numpy(stacked.facing),
+        torch.from_numpy(stacked.rgb.astype(np.float32)) if stacked.rgb.size else None,
     )

@@ -79,6 +79,11 @@ class InputView:
         return points
 
 
+def channels_first(pictures: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Pictures (..., H, W, C) as (..., C, H, W)."""
+    return np.moveaxis(pictures, -1, -3)
+
+
 def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
     """The camera of one frame's `camera_k` (3, 3) and `camera_dist` (5,); the same object for the same numbers."""
     return _camera(np.asarray(k, np.float64).tobytes(), np.asarray(dist, np.float64).tobytes(), width, height)
@@ -134,7 +139,7 @@ def _rounded(uv: Joints, inside: NDArray[np.bool_], camera: Camera) -> _Nearest:
 
 
 class Kept(NamedTuple):
-    """One frame in the view, as kept in memory; the fields of `Batch` without N, depth in ticks of 0.1 mm.
+    """One frame in the view, as kept in memory; the fields of `Batch` without N, depth in ticks of 0.1 mm, integers of the disk.
 
     Images that the method does not read have the shape (0, 0).
     """
@@ -146,3 +151,4 @@ class Kept(NamedTuple):
     amplitude: NDArray[np.uint16]
     labels: NDArray[np.uint8]
     facing: NDArray[np.bool_] = np.array(False)
+    rgb: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)

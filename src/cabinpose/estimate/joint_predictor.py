@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, joined
 from cabinpose.estimate.expected_error import expected_errors
 from cabinpose.estimate.found import Found, mirrored
-from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, slices, view_inputs
+from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, image_in, slices, view_inputs
 from cabinpose.estimate.settings import PlacedSettings
 
 # Median of amplitude times squared depth (m) over a generated frame, and where a model begins to fail: at a tenth of it the
@@ -46,7 +46,7 @@ class JointPredictor:
     def predict(self, frames: FrameBatch) -> PoseBatch:
         """The joints of N frames, in their order. Raises ConfigError where the model needs amplitudes and there are none."""
         batches = []
-        for which in slices(len(frames["depth"])):
+        for which in slices(len(image_in(frames))):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
             batches.append(self.poses(self._found(seen, self._turned(frames, which, len(cameras))), cameras))
@@ -79,6 +79,7 @@ class JointPredictor:
         amplitude: NDArray[Any] | None = None,
         *,
         camera_dist: NDArray[Any] | None = None,
+        rgb: NDArray[Any] | None = None,
     ) -> PoseBatch:
         """The joints of one frame or of many, from plain arrays.
 
@@ -92,6 +93,8 @@ class JointPredictor:
             The same shape as the depth: the active infrared light, as the camera gives it (uint16 or float).
         camera_dist
             (5,) or (N, 5): OpenCV's k1 k2 p1 p2 k3; default: no distortion.
+        rgb
+            (H, W, 3) or (N, H, W, 3), sRGB from 0 to 255, of the pixels of the depth.
 
         Returns
         -------
@@ -126,6 +129,12 @@ class JointPredictor:
                     hint="give both of one frame",
                 )
             frames["amplitude"] = light.reshape(frames["depth"].shape)
+        if rgb is not None:
+            if np.shape(rgb) != (*depth.shape, 3):
+                raise ConfigError(
+                    f"rgb of shape {np.shape(rgb)} does not belong to depth of shape {depth.shape}", hint="give both of one frame"
+                )
+            frames["rgb"] = np.asarray(rgb).reshape(*frames["depth"].shape, 3)
         found = self.predict(frames)
         return found.map(lambda values: values[0]) if one else found
 
@@ -134,7 +143,7 @@ class JointPredictor:
 
         Warns once where the amplitudes cannot be what the model has learnt from.
         """
-        seen = view_inputs(frames, which, cameras, self.config.view, amplitude="amplitude" in self.config.inputs)
+        seen = view_inputs(frames, which, cameras, self.config.view, self.config.inputs)
         if "amplitude" in seen and not self._warned_of_light:
             amplitude, depth = (seen[name][..., ::_EVERY, ::_EVERY] for name in ("amplitude", "depth"))
             light = amplitude * depth**2

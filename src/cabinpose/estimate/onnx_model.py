@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError, check_onnx
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
-from cabinpose.estimate.inputs import InputView, camera_of
+from cabinpose.estimate.inputs import InputView, camera_of, channels_first
 from cabinpose.estimate.methods import Method, NetworkMethod, method_of
 
 METADATA_KEY = "cabinpose"
@@ -158,17 +158,29 @@ def cameras_of(frames: FrameBatch, which: slice) -> list[Camera]:
 
 
 def view_inputs(
-    frames: FrameBatch, which: slice, cameras: Sequence[Camera], view: InputView, *, amplitude: bool
+    frames: FrameBatch, which: slice, cameras: Sequence[Camera], view: InputView, images: Sequence[str]
 ) -> dict[str, NDArray[np.float32]]:
-    """Arrays (N, h, w) of a view from frames of their cameras: depth (m, 0 = invalid) and, where asked for, amplitude."""
-    empty = np.zeros((0, view.height, view.width), np.float32)
+    """What a view sees of frames of their cameras, by name: depth (N, h, w), m, and the images that are asked for.
+
+    Amplitude is (N, h, w) as the camera has it, rgb (N, 3, h, w) sRGB from 0 to 255. Depth is 0 where it is invalid, and all over
+    where the frames have none.
+    """
+    size, pictures = (view.height, view.width), [name for name in images if name != "depth"]
     if not cameras:
-        return {"depth": empty, "amplitude": empty} if amplitude else {"depth": empty}
-    inputs = {"depth": _seen(frames["depth"][which], cameras, view.depth)}
-    if amplitude:
-        if "amplitude" not in frames:
-            raise ConfigError("this model reads amplitudes, and the frames have none", hint="take a model of depth alone")
-        inputs["amplitude"] = _seen(frames["amplitude"][which], cameras, view.resample).astype(np.float32, copy=False)
+        shapes = {"depth": (0, *size)} | {name: (0, 3, *size) if name == "rgb" else (0, *size) for name in pictures}
+        return {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    for name in images:
+        if name not in frames:
+            what = "amplitudes" if name == "amplitude" else name
+            raise ConfigError(f"this model reads {what}, and the frames have none", hint="take a model of depth alone")
+    if "depth" in frames:
+        inputs = {"depth": _seen(frames["depth"][which], cameras, view.depth)}
+    else:
+        inputs = {"depth": np.zeros((len(cameras), *size), np.float32)}
+    for name in pictures:
+        taken: NDArray[Any] = frames[name][which]  # type: ignore[literal-required]
+        seen = _seen(channels_first(taken) if name == "rgb" else taken, cameras, view.resample)
+        inputs[name] = seen.astype(np.float32, copy=False)
     return inputs
 
 

@@ -44,7 +44,7 @@ class PartSegmenter:
 
     def _segment(self, frames: FrameBatch, which: slice) -> NDArray[np.uint8]:
         cameras = cameras_of(frames, which)
-        classes: NDArray[np.uint8] = self.model.run(view_inputs(frames, which, cameras, self.config.view, amplitude=False))
+        classes: NDArray[np.uint8] = self.model.run(view_inputs(frames, which, cameras, self.config.view, self.config.inputs))
         result = np.zeros(frames["depth"][which].shape, np.uint8)
         for image, own, camera in zip(result, classes, cameras, strict=True):
             image[...] = self.config.view.to_source(own, camera)

@@ -90,7 +90,7 @@ class Task(ABC):
         """What a method with these settings takes of each frame."""
         return FrameSpec(
             settings.view, settings.slots, settings.joint_set.name, settings.joints,
-            amplitude="amplitude" in settings.inputs, labels=self.labels,
+            amplitude="amplitude" in settings.inputs, labels=self.labels, rgb="rgb" in settings.inputs,
         )  # fmt: skip
 
     def vary(self, batch: Batch, config: AugmentConfig, settings: Any, setting: Setting, generator: torch.Generator) -> Any:  # noqa: ARG002 - lifting needs the settings
@@ -103,13 +103,16 @@ class Task(ABC):
 
     def inputs(self, batch: Batch, settings: Any) -> dict[str, Tensor]:  # noqa: ARG002 - lifting needs the settings
         """What the view saw of a batch by name, among it the network's inputs; not augmented."""
-        return {"depth": batch.depth} | ({} if batch.amplitude is None else {"amplitude": batch.amplitude})
+        images = {"depth": batch.depth, "amplitude": batch.amplitude, "rgb": batch.rgb}
+        return {name: image for name, image in images.items() if image is not None}
 
     def examples(self, settings: Any, generator: torch.Generator) -> dict[str, Tensor]:
         """Three plausible inputs of the network by name, to trace it with."""
         depth = 0.4 + 2 * torch.rand((3, settings.view.height, settings.view.width), generator=generator)
         depth[torch.rand(depth.shape, generator=generator) < 0.1] = 0.0
         values = {"depth": depth, "amplitude": 300 * torch.rand(depth.shape, generator=generator)}
+        if "rgb" in settings.inputs:
+            values["rgb"] = 255 * torch.rand((len(depth), 3, *depth.shape[1:]), generator=generator)
         return {name: values[name] for name in settings.inputs}
 
     @abstractmethod

@@ -92,7 +92,7 @@ def measure_norms(network: nn.Module, names: Iterable[str], batches: Iterable[Ba
     training = network.training
     network.eval()
     for batch in batches:
-        network(batch.depth, batch.amplitude)
+        network(*batch.images(cast(Any, network).config.inputs))
     network.train(training)
     for hook in hooks:
         hook.remove()

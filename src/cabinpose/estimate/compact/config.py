@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,7 @@ class BackboneConfig(ViewSettings):
 
     width: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Width of the network's view (px).")] = 176
     height: Annotated[int, Field(ge=32, le=1024, multiple_of=16, description="Height of the network's view (px).")] = 144
+    input: Annotated[Literal["depth", "amplitude", "rgb"], Field(description="What the network sees.")] = "depth"
     amplitude: Annotated[bool, Field(description="Use the amplitude image beside the depth.")] = True
     skeleton: Annotated[SkeletonName, Field(description="Joints to predict.")] = "cabinpose"
     channels: Annotated[tuple[int, int, int, int], Field(description="Channels at strides 2, 4, 8 and 16.")] = (16, 32, 80, 128)
@@ -30,7 +31,7 @@ class BackboneConfig(ViewSettings):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the network's inputs."""
-        return ("depth", "amplitude") if self.amplitude else ("depth",)
+        return ("depth", "amplitude") if self.input == "depth" and self.amplitude else (self.input,)
 
 
 class CompactConfig(BackboneConfig):

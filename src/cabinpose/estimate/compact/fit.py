@@ -31,7 +31,7 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
     Gaussian around the joint · inside, visible, present: binary cross entropies. Only people who are there count for
     their joints.
     """
-    votes: Votes = network(batch.depth, batch.amplitude)
+    votes: Votes = network(*batch.images(network.config.inputs))
     truth = batch.joints
     known = batch.present.unsqueeze(-1) & (batch.visibility > 0) & torch.isfinite(truth).all(-1)
     inside = known & (batch.visibility > 1)

@@ -21,6 +21,7 @@ from cabinpose.estimate.compact.refine import Refine
 from cabinpose.estimate.found import mirrored_slots
 
 STRIDE = 8
+_CHANNELS = {("depth",): 4, ("depth", "amplitude"): 5, ("amplitude",): 2, ("rgb",): 3}  # by the images that are read
 _VALUES = 6  # of a vote: weight, offset in u and v, depth, inside, visible
 _CLEARLY = 0.02  # by how much more another order of the front places has to fit: where nobody sits rounding would decide
 _CLOUD_M = 1.5  # half width of the cloud that is mapped to [-1, 1]
@@ -53,7 +54,7 @@ class Features(NamedTuple):
 
 
 class Backbone(nn.Module):
-    """The layers below a head: from depth and amplitude to features."""
+    """The layers below a head: from images to features."""
 
     rays: Tensor
 
@@ -62,9 +63,8 @@ class Backbone(nn.Module):
         self.config = config
         c2, c4, c8, c16 = config.channels
         b4, b8, b16 = config.blocks
-        inputs = 5 if config.amplitude else 4
         self.stem = nn.Sequential(
-            nn.Conv2d(inputs, c2, 3, 2, 1, bias=False), nn.BatchNorm2d(c2), nn.ReLU(inplace=True),
+            nn.Conv2d(_CHANNELS[config.inputs], c2, 3, 2, 1, bias=False), nn.BatchNorm2d(c2), nn.ReLU(inplace=True),
             *_stage(c2, c4, b4),
         )  # fmt: skip
         self.middle = nn.Sequential(*_stage(c4, c8, b8))
@@ -74,17 +74,26 @@ class Backbone(nn.Module):
         self.merge = Block(c8, c8)
         self.register_buffer("rays", ray_tensor(config.view), persistent=False)
 
-    def inputs(self, depth: Tensor, amplitude: Tensor | None) -> Tensor:
-        """Channels (N, C, h, w) from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
-        z = depth.unsqueeze(1)
+    def channels(self, *images: Tensor) -> Tensor:
+        """Channels (N, C, h, w) of the images that the settings' `inputs` name.
+
+        depth (N, h, w), m, 0 = invalid: valid or not, its distance from half of the greatest, and the cloud · amplitude
+        (N, h, w): lit or not, and its logarithm, about 0 at `exp(5)` · rgb (N, 3, h, w): from 0..255 to -1..1.
+        """
+        seen = dict(zip(self.config.inputs, images, strict=True))
+        if "rgb" in seen:
+            return seen["rgb"] / 127.5 - 1.0
+        if "depth" not in seen:
+            light = seen["amplitude"].unsqueeze(1)
+            lit = (light > 0).to(light.dtype)
+            return torch.cat((lit, torch.log1p(light) / 5.0 - lit), dim=1)
+        z = seen["depth"].unsqueeze(1)
         valid = (z > 0).to(z.dtype)
         centre = 0.5 * self.config.max_depth_m
         channels = [valid, (z / centre - 1.0) * valid, z * self.rays / _CLOUD_M]
-        if self.config.amplitude:
-            if amplitude is None:
-                raise ValueError("this model reads amplitudes")
+        if "amplitude" in seen:
             # Light returned falls with the square of the distance: times z squared, what is left is the surface.
-            channels.append(torch.log1p(amplitude.unsqueeze(1) * z * z) / 5.0 - valid)
+            channels.append(torch.log1p(seen["amplitude"].unsqueeze(1) * z * z) / 5.0 - valid)
         return torch.cat(channels, dim=1)
 
     def features(self, x: Tensor) -> Features:
@@ -118,9 +127,10 @@ class Compact(Backbone):
         cells = torch.stack((columns.flatten(), rows.flatten())) * STRIDE + (STRIDE - 1) / 2
         self.register_buffer("cells", cells.float(), persistent=False)
 
-    def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Votes:
-        """Votes from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w)."""
-        x = self.inputs(depth, amplitude)
+    def forward(self, *images: Tensor) -> Votes:
+        """Votes from the images of the settings' `inputs`, see `channels`. Without depth, looks see one without a surface."""
+        x = self.channels(*images)
+        depth = images[0] if self.config.inputs[0] == "depth" else torch.zeros_like(x[:, 0])
         fine, features, deep = self.features(x)
         n, s, j = depth.shape[0], len(self.config.slots), len(self.config.joints)
         near = nn.functional.avg_pool2d(x[:, :2], STRIDE)  # the surface of the cell, for votes relative to it
@@ -213,10 +223,10 @@ class Mirrored(nn.Module):
         self._slots = mirrored_slots(network.config.slots)
         self._facing_slots = mirrored_slots(network.config.slots, facing=True)
 
-    def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Votes:
+    def forward(self, *images: Tensor) -> Votes:
         """Votes as the network's own."""
-        one = self._network(depth, amplitude)
-        other = self._network(depth.flip(-1), None if amplitude is None else amplitude.flip(-1))
+        one = self._network(*images)
+        other = self._network(*(image.flip(-1) for image in images))
         width = self._network.config.width
         turned = self._turned(one, other) if self._slots != self._facing_slots else None
 

@@ -12,7 +12,7 @@ from cabinpose.estimate.settings import BodySettings
 class PafConfig(BodySettings):
     """The part affinity fields: input, stages and size of the network, and how people are read off its maps."""
 
-    input: Annotated[Literal["depth", "cloud", "amplitude"], Field(description="What the network sees.")] = "depth"
+    input: Annotated[Literal["depth", "cloud", "amplitude", "rgb"], Field(description="What the network sees.")] = "depth"
     stages: Annotated[int, Field(ge=1, le=6, description="1 = the thesis; the original refines in 5 more.")] = 1
     channels: Annotated[float, Field(gt=0, le=2, description="Factor on the thesis' numbers of channels.")] = 1.0
     presence_labels: Annotated[
@@ -47,7 +47,7 @@ class PafConfig(BodySettings):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the network's inputs."""
-        return ("amplitude",) if self.input == "amplitude" else ("depth",)
+        return ("depth",) if self.input == "cloud" else (self.input,)
 
     @property
     def offsets_m(self) -> tuple[float, ...]:

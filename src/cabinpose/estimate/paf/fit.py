@@ -18,9 +18,7 @@ def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     heat, fields: half the squared L2 norm of the maps' error, all stages (Caffe's Euclidean loss; the thesis prints the norm
     itself) · presence: for each joint the cross entropy of its labels divided by their number, summed over the joints.
     """
-    image = batch.amplitude if network.config.input == "amplitude" else batch.depth
-    if image is None:
-        raise ValueError("this model reads amplitudes")
+    (image,) = batch.images(network.config.inputs)
     maps: Maps = network(image)
     height, width = maps.heat.shape[-2:]
     heat, fields = targets(batch, network.config, height, width)

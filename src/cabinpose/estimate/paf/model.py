@@ -55,7 +55,7 @@ class Paf(nn.Module):
             return layer, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)
 
         self.features = nn.Sequential(
-            *conv(3 if config.input == "cloud" else 1, c(64)), *conv(c(64), c(64)), nn.MaxPool2d(2),
+            *conv(3 if config.input in ("cloud", "rgb") else 1, c(64)), *conv(c(64), c(64)), nn.MaxPool2d(2),
             *conv(c(64), c(128)), *conv(c(128), c(128)), nn.MaxPool2d(2),
             *conv(c(128), c(256)), *conv(c(256), c(256)), *conv(c(256), c(256)), *conv(c(256), c(256)), nn.MaxPool2d(2),
             *conv(c(256), c(512)), *conv(c(512), c(512)), *conv(c(512), c(256)), *conv(c(256), c(128)),
@@ -95,7 +95,9 @@ class Paf(nn.Module):
         return [cast(nn.Sequential, module) for module in (*self.refined_fields, *self.refined_heat)]
 
     def scaled(self, image: Tensor) -> Tensor:
-        """The input (N, 1 or 3, h, w) in 0..255 as in the thesis, from depth (m, 0 = invalid) or amplitude (N, h, w)."""
+        """The input (N, 1 or 3, h, w) in 0..255 as in the thesis, from depth (m, 0 = invalid) or amplitude (N, h, w), or rgb."""
+        if self.config.input == "rgb":
+            return image
         x = image.unsqueeze(1)
         if self.config.input == "amplitude":
             return (x / _AMPLITUDE).clamp(0, 1) * 255
@@ -106,7 +108,7 @@ class Paf(nn.Module):
         return torch.cat((across, z), dim=1) * 255
 
     def forward(self, image: Tensor) -> Maps:
-        """Maps from depth (N, h, w), m, 0 = invalid, or from amplitude (N, h, w)."""
+        """Maps from depth (N, h, w), m, 0 = invalid, from amplitude (N, h, w) or from rgb (N, 3, h, w), 0 to 255."""
         # As in the original, 0..255 becomes -0.5..0.5 before the first layer.
         features = self.features(self.scaled(image) / 256 - 0.5)
         stages = [(self.fields(features), self.heat(features))]

@@ -35,7 +35,7 @@ def loss(network: Yolo, batch: Batch) -> dict[str, Tensor]:
     `coord` · confidence: of those boxes, from their intersection over union with the joint's box · empty: of all others, from
     0, times `noobj` · classes: of the cells that hold a joint · offset: as place, where the joint's own skin is seen.
     """
-    grid: Grid = network(batch.depth, batch.amplitude)
+    grid: Grid = network(*batch.images(network.config.inputs))
     return grid_loss(grid, truths(batch, network.config), network.config)
 
 

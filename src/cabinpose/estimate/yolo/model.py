@@ -52,9 +52,9 @@ class Yolo(Backbone):
             start = torch.tensor([0.5, 0.5, _SIZE, _SIZE, 0.0, 0.0]).repeat(config.boxes)
             self.boxes.bias.copy_(start)  # type: ignore[union-attr]
 
-    def forward(self, depth: Tensor, amplitude: Tensor | None = None) -> Grid:
-        """The grid's answers from depth (N, h, w), m, 0 = invalid, and amplitude (N, h, w); linear, as in the paper."""
-        fine, features, _ = self.features(self.inputs(depth, amplitude))
+    def forward(self, *images: Tensor) -> Grid:
+        """The grid's answers from the images of the settings' `inputs`, see `Backbone.channels`; linear, as in the paper."""
+        fine, features, _ = self.features(self.channels(*images))
         if self.fine:
             lower = nn.functional.interpolate(self.lower(features), scale_factor=STRIDE / self.config.cell_px, mode="nearest")
             features = self.blend(self.across(fine) + lower)
