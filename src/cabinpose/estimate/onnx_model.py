@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import onnxruntime
@@ -169,17 +169,16 @@ def view_inputs(
     if not cameras:
         shapes = {"depth": (0, *size)} | {name: (0, 3, *size) if name == "rgb" else (0, *size) for name in pictures}
         return {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    taken = {name: image[which] for name, image in cast(Mapping[str, NDArray[Any]], frames).items() if name in IMAGES}
     for name in images:
-        if name not in frames:
+        if name not in taken:
             what = "amplitudes" if name == "amplitude" else name
             raise ConfigError(f"this model reads {what}, and the frames have none", hint="take a model of depth alone")
-    if "depth" in frames:
-        inputs = {"depth": _seen(frames["depth"][which], cameras, view.depth)}
-    else:
-        inputs = {"depth": np.zeros((len(cameras), *size), np.float32)}
+    inputs = {"depth": np.zeros((len(cameras), *size), np.float32)}
+    if "depth" in taken:
+        inputs["depth"] = _seen(taken["depth"], cameras, view.depth)
     for name in pictures:
-        taken: NDArray[Any] = frames[name][which]  # type: ignore[literal-required]
-        seen = _seen(channels_first(taken) if name == "rgb" else taken, cameras, view.resample)
+        seen = _seen(channels_first(taken[name]) if name == "rgb" else taken[name], cameras, view.resample)
         inputs[name] = seen.astype(np.float32, copy=False)
     return inputs
 
