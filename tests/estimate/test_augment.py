@@ -70,6 +70,7 @@ def random_batch(seed: int = 0, frames: int = 3) -> Batch:
         torch.tensor(rng.uniform(0, 400, depth.shape), dtype=torch.float32),
         torch.tensor(rng.integers(0, 34, depth.shape), dtype=torch.uint8),
         torch.zeros(frames, dtype=torch.bool),
+        torch.tensor(rng.uniform(0, 255, (frames, 3, *depth.shape[1:])), dtype=torch.float32),
     )
 
 

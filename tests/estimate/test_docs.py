@@ -71,7 +71,7 @@ def test_the_examples_are_valid() -> None:
     assert set(parse_splits(splits, "docs")) == {"train", "validate"}
     config = TrainConfig.model_validate(run)
     assert frame_spec(config).slots == ("driver", "front_passenger")
-    packaged = describe_model(packaged_models()["in_car"])["settings"]
+    packaged = METHODS["compact"].settings(describe_model(packaged_models()["in_car"])["settings"]).model_dump(mode="json")
     assert TrainConfig.model_validate(from_packaged).settings == packaged  # what --init in_car begins with
 
 

@@ -370,7 +370,7 @@ def test_nobody_to_measure_is_refused() -> None:
         measure.slot_anchors(config, [])
 
 
-@pytest.mark.parametrize("values", [{"width": 65}, {"stages": 0}, {"slot_anchors": {}}, {"input": "rgb"}, {"unknown": 1}])
+@pytest.mark.parametrize("values", [{"width": 65}, {"stages": 0}, {"slot_anchors": {}}, {"input": "nir"}, {"unknown": 1}])
 def test_settings_that_make_no_sense_are_refused(values: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=next(iter(values))) as caught:
         METHODS["paf"].settings(values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.scene.labels import LABEL_ID
 from cabinpose.store import open_dataset, points_m
 from cabinpose.synth.generate import GenerationReport, generate
-from cabinpose.synth.style.encoder import STYLE, VGG_WIDTHS, Encoder, StyleLoss, gram, own_encoder, shown, vgg19
+from cabinpose.synth.style.encoder import STYLE, VGG_WIDTHS, Encoder, StyleLoss, encoder_of, gram, own_encoder, shown, vgg19
 from cabinpose.synth.style.fit import StyleReport, fit_style, noise_of
 from cabinpose.synth.style.frame import StyleFrame, guides_of
 from cabinpose.synth.style.safety import label_shift, parts_of, without_part_means
@@ -84,6 +85,9 @@ def test_the_loss_has_the_gradient_of_finite_differences() -> None:
 # -------------------------------------------------------------------------------------------------------------- VGG-19
 
 
+CONFIGURATION_E = (64, 64, "M", 128, 128, "M", 256, 256, 256, 256, "M", *(512,) * 4, "M", *(512,) * 4, "M")  # Simonyan, table 1
+
+
 def test_vgg19_reads_torchvisions_names(tmp_path: Path) -> None:
     generator, state, before = torch.Generator().manual_seed(2), {}, 3
     for name, number in VGG_FEATURES.items():
@@ -117,6 +121,55 @@ def test_vgg19_reads_torchvisions_names(tmp_path: Path) -> None:
         with pytest.raises(ModelError, match=says) as caught:
             vgg19(tmp_path / f"{name}.pth")
         assert "torchvision" in str(caught.value.hint)
+
+
+def published(generator: torch.Generator) -> dict[str, torch.Tensor]:
+    """A state dict with the names, order and shapes of `vgg19-dcbb9e9d.pth`: random features, and a classifier of zeros that
+    share one number, so that the file has 80 and not 575 MB.
+    """
+    state, before, number = {}, 3, 0
+    for width in CONFIGURATION_E:
+        if width == "M":
+            number += 1
+            continue
+        state[f"features.{number}.weight"] = torch.randn(width, before, 3, 3, generator=generator) * (2 / (9 * before)) ** 0.5
+        state[f"features.{number}.bias"] = 0.1 * torch.randn(width, generator=generator)
+        before, number = width, number + 2
+    for number, (rows, columns) in {0: (4096, 512 * 7 * 7), 3: (4096, 4096), 6: (1000, 4096)}.items():
+        zero = torch.zeros(1)
+        state |= {f"classifier.{number}.weight": zero.expand(rows, columns), f"classifier.{number}.bias": zero.expand(rows)}
+    return state
+
+
+@pytest.mark.slow  # a file of 80 MB
+def test_vgg19_answers_as_torchvisions_network_from_a_file_of_the_published_layout(tmp_path: Path) -> None:
+    generator = torch.Generator().manual_seed(5)
+    state = published(generator)
+    assert sum(value.numel() for value in state.values()) == 143_667_240  # as torchvision's page has it
+    torch.save(state, tmp_path / "vgg19-dcbb9e9d.pth")
+    encoder = encoder_of(str(tmp_path / "vgg19-dcbb9e9d.pth"))
+    layers: list[torch.nn.Module] = []
+    before = 3
+    for width in CONFIGURATION_E:  # torchvision's `features`, but for the average of pools, which is ours as Gatys et al. have it
+        if width == "M":
+            layers.append(torch.nn.AvgPool2d(2, 2))
+        else:
+            layers += [torch.nn.Conv2d(before, width, 3, padding=1), torch.nn.ReLU()]
+            before = width
+    theirs = torch.nn.Sequential(OrderedDict((str(number), layer) for number, layer in enumerate(layers)))
+    theirs.load_state_dict({name.removeprefix("features."): w for name, w in state.items() if name.startswith("features.")})
+    image = torch.rand(2, 3, 32, 48, generator=generator)
+    value = (image - torch.tensor([0.485, 0.456, 0.406]).view(3, 1, 1)) / torch.tensor([0.229, 0.224, 0.225]).view(3, 1, 1)
+    known = {number + 1: name for name, number in VGG_FEATURES.items()}  # after the ReLU
+    with torch.no_grad():
+        ours = encoder(image)
+        for number, layer in enumerate(theirs):
+            value = layer(value)
+            if number in known:
+                assert value.abs().mean() > 1e-3
+                assert torch.equal(ours[known.pop(number)], value)
+    assert not known
+    assert not any(parameter.requires_grad for parameter in encoder.parameters())
 
 
 def test_the_packages_encoder_tells_noise_from_noise() -> None:

@@ -37,6 +37,7 @@ from .predictor import open_model as open_model
 from .predictor import packaged_detectors as packaged_detectors
 from .predictor import packaged_models as packaged_models
 from .settings import BodySettings as BodySettings
+from .settings import PlacedSettings as PlacedSettings
 from .settings import Settings as Settings
 from .settings import ViewSettings as ViewSettings
 from .tasks import PeopleBatch as PeopleBatch
