@@ -267,9 +267,7 @@ class Output(Model):
     gaze: bool = Field(
         False, exclude_if=lambda value: not value, description="Write everybody's gaze, its target and head pose as well."
     )
-    drive_side: bool = Field(
-        False, exclude_if=operator.not_, description="Write the side of the wheel of every frame's car as well."
-    )
+    drive_side: bool = Field(False, exclude_if=operator.not_, description="Write the side of the wheel of each frame as well.")
     noise: bool = Field(
         False,
         exclude_if=operator.not_,
