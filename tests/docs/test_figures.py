@@ -77,7 +77,7 @@ OF_CARDS = [
     ("lift", r"it gets ([\d.]+) % and ([\d.]+), where that `in_car` itself, which sees depth, has ([\d.]+) and ([\d.]+)"),
     ("parts", r"a mean IoU of ([\d.]+) % over the eight parts \(head ([\d.]+),"),
     ("paf", r"\| `paf`, people matched by distance \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| [\d.]+ cm \| ([\d.]+) \|"),
-    ("paf", r"\| `paf`, by seat, told where the wheel is \| \*\*([\d.]+)\*\* \| \*\*([\d.]+)\*\* \| \*\*([\d.]+)\*\* \| \*\*([\d.]+)\*\*"),
+    ("paf", r"\| `paf`, by seat, told where the wheel is \| \*\*([\d.]+)\*\* \| \*\*([\d.]+)\*\* \| \*\*([\d.]+)\*\* "),
     ("paf", r"\| `paf`, by seat, not told \| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| ([\d.]+) "),
 ]  # fmt: skip
 

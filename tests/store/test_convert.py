@@ -351,6 +351,19 @@ def test_ply(spheres: ModuleType, dataset_folder: Path, tmp_path: Path) -> None:
         assert (colours[labels == 29][:, :3] == (0xAA, 0x55, 0xAA)).all()
 
 
+def test_the_cloud_of_another_depth(dataset_folder: Path, tmp_path: Path) -> None:
+    dataset = open_dataset(dataset_folder)
+    styled = dataset.assign(depth_styled=dataset.depth.where(dataset.depth > dataset.depth.median(), np.nan) + np.float32(0.01))
+    out = export_dataset(styled, "ply", tmp_path / "styled", depth="depth_styled")
+    for i in range(5):
+        wanted = styled.depth_styled[i].values
+        heights = trimesh.load(out / f"{i:08d}.ply").vertices[:, 2]
+        np.testing.assert_allclose(heights, wanted[np.isfinite(wanted)], atol=1e-6)  # row by row
+        assert 0 < len(heights) < np.isfinite(dataset.depth[i].values).sum()
+    with pytest.raises(DatasetError, match="depth_styled"):
+        export_dataset(dataset, "ply", tmp_path / "none", depth="depth_styled")
+
+
 @pytest.mark.parametrize("name", ["png-json", "coco", "yolo", "ply"])
 def test_export_is_deterministic_and_overwrites_nothing(dataset_folder: Path, tmp_path: Path, name: str) -> None:
     dataset = open_dataset(dataset_folder)

@@ -10,13 +10,15 @@ import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from cabinpose.core.camera import Camera
+from cabinpose.core.errors import DatasetError
 from cabinpose.core.skeleton import ITOP
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.convert import open_source
 from cabinpose.store.convert.itop_correct import REACH_M, corrected, grown, person_mask
-from cabinpose.store.itop import K
+from cabinpose.store.itop import NOMINAL_SCALE_M, K
 from cabinpose.store.source import import_source
 
 CAMERA = Camera(320, 240, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -128,3 +130,62 @@ def test_an_import_records_and_tells_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(after.joints_2d.sel(joint="rhand")[0, 0], (130, 120), atol=0.3)
     assert plain.outcome() == ""
     assert "correct" not in plain.manifest.config
+
+
+def of_npz(path: Path, count: int = 3) -> Path:
+    """Frames of `drawn` as .npz: columns 40 to 279 at 2.4 px each, scaled to 0 .. 1; in the last one nothing is to be moved."""
+    depth, joints = drawn()
+    rows, columns = (np.arange(100) + 0.5) * 2.4 - 0.5, 40 + (np.arange(100) + 0.5) * 2.4 - 0.5
+    small = depth[np.round(rows).astype(int)[:, None], np.round(columns).astype(int)] / NOMINAL_SCALE_M
+    still = joints.copy()
+    still[[RHAND, LHAND]] = joints[TORSO]
+    np.savez(path, depth01=np.stack([small] * count), joints_3d=np.stack([joints] * (count - 1) + [still]) * (1, -1, 1),
+             frame=np.arange(count))  # fmt: skip
+    return path
+
+
+def test_frames_of_an_npz_are_corrected_and_pictured_before_and_after(tmp_path: Path) -> None:
+    path, pictures = of_npz(tmp_path / "itop_side.npz"), tmp_path / "pictures"
+    source = open_source(path, "itop", correct="head", pictures=pictures)
+    out = import_source(source, tmp_path / "out")
+    assert source.outcome().startswith("4 of 45 joints were moved")
+    assert "hidden" in source.note
+    after, depth = open_dataset(out), drawn()[0]
+    assert after.attrs["width"] == after.attrs["height"] == 100
+    assert set(after.pov.values.tolist()) == {"side"}
+    np.testing.assert_allclose(after.depth[0, 50, 50], depth[120, 160], atol=0.02)  # the scale is found again
+    plain = open_dataset(import_source(open_source(path, "itop"), tmp_path / "plain"))
+    moved = np.linalg.norm((after.itop_joints_3d - plain.itop_joints_3d).values, axis=-1)[:, 0] > 0.01
+    np.testing.assert_array_equal(np.flatnonzero(moved[0]), [RHAND, LHAND])
+    assert sorted(file.name for file in pictures.iterdir()) == ["00000000.png", "00000001.png"]  # nothing moves in the third
+    image = np.asarray(Image.open(pictures / "00000000.png")).astype(int)
+    scale = image.shape[0] // 100
+    assert image.shape == (100 * scale, 2 * 100 * scale, 3)
+    left, right = np.split(image, 2, axis=1)
+
+    def dot(picture: NDArray[Any], xyz: NDArray[Any]) -> list[int]:
+        k = after.camera_k.values[0]
+        u, v = (xyz[:2] / xyz[2] * k[[0, 1], [0, 1]] + k[:2, 2] + 0.5) * scale
+        return picture[round(float(v)), round(float(u))].tolist()
+
+    for joint in (RHAND, LHAND):
+        assert dot(left, plain.itop_joints_3d.values[0, 0, joint]) == [255, 255, 255]
+        assert dot(right, after.itop_joints_3d.values[0, 0, joint]) == [255, 140, 0]
+    assert dot(right, after.itop_joints_3d.values[0, 0, HEAD]) == [255, 255, 255]
+    trunk = round(45 * scale), round(57 * scale)
+    assert right[trunk][2] > right[trunk][0] + 30  # the person is blue, after alone
+    assert left[trunk][2] == left[trunk][0]
+
+
+def test_pictures_without_a_correction_and_into_a_folder_in_use_are_refused(tmp_path: Path) -> None:
+    path = of_npz(tmp_path / "a.npz")
+    with pytest.raises(DatasetError, match="--pictures shows what --correct does") as caught:
+        open_source(path, "itop", pictures=tmp_path / "pictures")
+    assert "--correct head" in caught.value.hint
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("keep")
+    with pytest.raises(DatasetError, match="is not empty"):
+        open_source(path, "itop", correct="head", pictures=tmp_path / "mine")
+    np.savez(tmp_path / "b.npz", depth01=np.zeros((2, 100, 100)), joints_3d=np.zeros((1, 15, 3)), frame=np.arange(1))
+    with pytest.raises(DatasetError, match="2 frames and joints of 1"):
+        open_source(tmp_path / "b.npz", "itop")

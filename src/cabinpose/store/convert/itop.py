@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptio
 from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import Origin, check_projection, given_camera, make_manifest, put_camera, put_person
 from cabinpose.store.frames import camera_of, frames, label_table, people, require_variables
-from cabinpose.store.itop import UNREADABLE, K, hdf5
+from cabinpose.store.itop import UNREADABLE, K, hdf5, read_itop_frames, read_itop_reference
 from cabinpose.store.schema import LabelRow, Manifest
 from cabinpose.store.source import UNKNOWN, Report, Source, blank_frame
 
@@ -68,18 +68,24 @@ class ItopImport(ImportOptions):
     """Keep the frames whose labels are marked as not valid, without their joints."""
     correct: Literal["head", "torso"] | None = None
     """Move joints that lie beside the person onto it; the person grows over the depth from this joint."""
+    pictures: Path | None = None
+    """Folder for a PNG of every frame in which --correct moves a joint, before and after."""
 
 
 class ItopFormat(DatasetFormat):
-    """ITOP's HDF5 files of one person a frame."""
+    """ITOP's HDF5 files of one person a frame, and frames of it as .npz, which are read alone."""
 
     import_options = ItopImport
 
     def read(self, path: Path, options: ItopImport) -> Source:
-        """The frames of a set (either of its files) or of all sets in a folder, one `sequence` a set.
+        """The frames of a set (either of its files), of all sets in a folder, one `sequence` a set, or of a .npz file.
 
-        Raises `DatasetError` for files that are damaged, lack a dataset, contradict each other, or have another geometry.
+        Raises `DatasetError` for files that are damaged, lack a dataset, contradict each other, or have another geometry, and
+        for a folder of pictures that is not empty.
         """
+        correction = _Correction(options)
+        if path.suffix == ".npz":
+            return _of_npz(path, options, correction)
         pairs = [_open(depth, labels, options) for depth, labels in _pairs(path)]
         if len({pair.size for pair in pairs}) > 1:
             raise DatasetError(f"the sets of {path} have images of different sizes", hint="import them one by one")
@@ -92,16 +98,15 @@ class ItopFormat(DatasetFormat):
             persons=(PERSON,),
             variables=(*images, "itop_joints_3d"),
             labels=label_rows() if segmented else (),
-            config={"keep_invalid": options.keep_invalid} | ({"correct": options.correct} if options.correct else {}),
+            config={"keep_invalid": options.keep_invalid} | correction.config,
         )
-        moved: list[NDArray[np.float64]] = []
 
         def all_frames() -> Iterator[dict[str, Any]]:
-            moved.clear()
+            correction.moved.clear()
             for sequence, pair in enumerate(pairs):
-                yield from _frames(pair, sequence, manifest, options, moved)
+                yield from _frames(pair, sequence, manifest, options, correction)
 
-        return Source(path, manifest, all_frames, outcome=lambda: _told(moved) if options.correct else "")
+        return Source(path, manifest, all_frames, outcome=correction.told)
 
     def write(self, parts: Mapping[str, xr.Dataset], folder: Path, _: NoOptions, report: Report) -> None:
         """Write every frame into `folder`; `DatasetError` where a frame shows more than one person.
@@ -203,15 +208,82 @@ class _Pair:
     pov: str
 
 
-def _told(moved: Sequence[NDArray[np.float64]]) -> str:
-    """How many labels were moved, and how far, in words; moved: (15,) m of each frame, NaN where no person was found."""
-    apart = np.array(moved).reshape(-1, len(ITOP.joints))
-    far = 100 * apart[apart > 0]
-    lost = int(np.isnan(apart).any(axis=1).sum())
-    text = f"{len(far)} of {apart.size} joints were moved"
-    if len(far):
-        text += f", by {np.median(far):.1f} cm in the median and {far.max():.1f} cm at most"
-    return text + (f"; frames that show nobody where their labels are, and keep them: {lost}" if lost else "")
+class _Correction:
+    """What an import does to labels, as its options say. moved: (15,) m of each frame, NaN where no person was found."""
+
+    def __init__(self, options: ItopImport) -> None:
+        if options.pictures is not None and options.correct is None:
+            raise DatasetError("--pictures shows what --correct does", hint="give --correct head, or leave out --pictures")
+        self._seed = options.correct
+        self._draw = None
+        if options.pictures is not None:
+            from cabinpose.store.convert.itop_pictures import CorrectionPictures  # noqa: PLC0415 - pictures are seldom asked for
+
+            self._draw = CorrectionPictures(options.pictures)
+        self.moved: list[NDArray[np.float64]] = []
+
+    @property
+    def config(self) -> dict[str, str]:
+        """What the manifest says of it."""
+        return {} if self._seed is None else {"correct": self._seed}
+
+    def joints(self, name: str, depth: NDArray[Any], world: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+        """The joints (15, 3) of a frame, m in our camera frame, corrected where that is asked for; name: of its picture."""
+        if self._seed is None:
+            return world
+        after = corrected(depth, world, camera, self._seed)
+        self.moved.append(after.moved_m if after.mask is not None else np.full(len(ITOP.joints), np.nan))
+        if self._draw is not None:
+            self._draw(name, depth, world, after, camera)
+        return after.joints_3d
+
+    def told(self) -> str:
+        """How many labels were moved, and how far, in words; empty where none was to be."""
+        if self._seed is None:
+            return ""
+        apart = np.array(self.moved).reshape(-1, len(ITOP.joints))
+        far = 100 * apart[apart > 0]
+        lost = int(np.isnan(apart).any(axis=1).sum())
+        text = f"{len(far)} of {apart.size} joints were moved"
+        if len(far):
+            text += f", by {np.median(far):.1f} cm in the median and {far.max():.1f} cm at most"
+        return text + (f"; frames that show nobody where their labels are, and keep them: {lost}" if lost else "")
+
+
+def _of_npz(path: Path, options: ItopImport, correction: _Correction) -> Source:
+    """The frames of a .npz, see `read_itop_frames`; whose they are and which joints are hidden it does not say."""
+    batch, reference = read_itop_frames(path), read_itop_reference(path)
+    count, height, width = batch["depth"].shape
+    if len(reference.joints_3d) != count:
+        raise DatasetError(f"{path} has {count} frames and joints of {len(reference.joints_3d)}", hint="is it whole?")
+    k = batch["camera_k"]
+    own = Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+    camera = given_camera(options, (width, height)) or own
+    pov = _pov(path)
+    manifest = make_manifest(
+        Origin("itop", path, options), frames=count, size=(width, height), persons=(PERSON,),
+        variables=("depth", "itop_joints_3d"), config=correction.config,
+    )  # fmt: skip
+
+    def all_frames() -> Iterator[dict[str, Any]]:
+        correction.moved.clear()
+        for index, (depth, world) in enumerate(zip(batch["depth"], reference.joints_3d, strict=True)):
+            frame = blank_frame(manifest)
+            frame["pov"], frame["car"], frame["depth"] = pov, "room", depth
+            frame["subject"], frame["action"] = [UNKNOWN], [UNKNOWN]
+            put_camera(frame, camera)
+            placed = correction.joints(f"{index:08d}", depth, world, camera)
+            frame["itop_joints_3d"][0] = placed
+            put_person(frame, 0, camera, _OURS, placed[_THEIRS], np.full(len(_THEIRS), Visibility.VISIBLE))
+            yield frame
+
+    note = "the file does not say which joints are hidden: all count as visible; who is shown is not known"
+    return Source(path, manifest, all_frames, note=note, outcome=correction.told)
+
+
+def _pov(path: Path) -> str:
+    """The view that a file's name speaks of."""
+    return next((view for view in ("side", "top") if view in path.name.lower()), UNKNOWN)
 
 
 def label_rows() -> tuple[LabelRow, ...]:
@@ -247,7 +319,7 @@ def _stem(file: Path) -> str:
         if file.name.endswith(end):
             return file.name.removesuffix(end)
     raise DatasetError(
-        f"{file} is no file of ITOP", hint="give a *_depth_map.h5 or *_labels.h5 (not the point clouds), or their folder"
+        f"{file} is no file of ITOP", hint="give a *_depth_map.h5 or *_labels.h5 (not the point clouds), their folder, or a .npz"
     )
 
 
@@ -297,8 +369,7 @@ def _open(depth_path: Path, labels_path: Path, options: ItopImport) -> _Pair:
         if "image_coordinates" in labels:
             _check_axes(depth, labels, labels_path, np.flatnonzero(valid), size, options)
         frames = np.arange(count) if options.keep_invalid else np.flatnonzero(valid)
-        pov = next((view for view in ("side", "top") if view in labels_path.name.lower()), UNKNOWN)
-        return _Pair(depth_path, labels_path, frames.astype(np.int64), size, "segmentation" in labels, pov)
+        return _Pair(depth_path, labels_path, frames.astype(np.int64), size, "segmentation" in labels, _pov(labels_path))
 
 
 def _check_axes(
@@ -328,9 +399,9 @@ def _camera(depth: Any, index: int, size: tuple[int, int], options: ItopImport) 
 
 
 def _frames(
-    pair: _Pair, sequence: int, manifest: Manifest, options: ItopImport, moved: list[NDArray[np.float64]]
+    pair: _Pair, sequence: int, manifest: Manifest, options: ItopImport, correction: _Correction
 ) -> Iterator[dict[str, Any]]:
-    """The frames of a set; what `options.correct` moves is added to `moved`, (15,) m a frame."""
+    """The frames of a set."""
     with _h5(pair.depth) as depth, _h5(pair.labels) as labels:
         small = {name: labels[name][...] for name in _NEEDED}
         for start in range(0, len(small["id"]), _BLOCK):
@@ -349,10 +420,8 @@ def _frames(
                 put_camera(frame, camera)
                 own = {name: values[index] for name, values in small.items()}
                 world = own["real_world_coordinates"].astype(np.float64) * _UP_TO_DOWN
-                if options.correct is not None and own["is_valid"]:
-                    after = corrected(frame["depth"], world, camera, options.correct)
-                    world = after.joints_3d
-                    moved.append(after.moved_m if after.mask is not None else np.full(len(ITOP.joints), np.nan))
+                if own["is_valid"]:
+                    world = correction.joints(f"{sequence}-{index:08d}", frame["depth"], world, camera)
                 _put_labels(frame, own, world, camera, pair.labels)
                 yield frame
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.store.convert.format import DatasetFormat, NoOptions
+from cabinpose.store.convert.format import DatasetFormat
 from cabinpose.store.frames import file_stem, frames, label_colours, require_variables
 from cabinpose.store.lazy import points_m
 from cabinpose.store.source import Report
@@ -20,17 +21,28 @@ if TYPE_CHECKING:
 _PLY_TYPE = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlyExport:
+    """How point clouds are written."""
+
+    depth: Literal["depth", "depth_clean", "depth_styled"] = "depth"
+    """The depth whose points are written."""
+
+
 class PlyFormat(DatasetFormat):
     """Point clouds, one file a frame."""
 
-    def write(self, parts: Mapping[str, xr.Dataset], folder: Path, _: NoOptions, report: Report) -> None:
+    export_options = PlyExport
+
+    def write(self, parts: Mapping[str, xr.Dataset], folder: Path, options: PlyExport, report: Report) -> None:
         """Write the points of every frame into `folder`; invalid pixels have no point.
 
-        Raises `DatasetError` without depth or classes.
+        Raises `DatasetError` without that depth, or without classes.
         """
         (dataset,) = parts.values()
-        require_variables(dataset, "PLY", ("depth", "labels"))
+        require_variables(dataset, "PLY", (options.depth, "labels"))
         colours = label_colours(dataset)
+        dataset = dataset.assign(depth=dataset[options.depth])
         for done, frame in enumerate(frames(dataset, ("depth", "labels", "instance", "amplitude")), 1):
             write_ply(folder / f"{file_stem(frame)}.ply", cloud(frame, colours))
             report(done)
