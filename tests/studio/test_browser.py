@@ -135,6 +135,8 @@ def test_dataset_is_filtered_and_browsed(page: Any, start: Callable[..., Any], d
 @pytest.mark.slow
 def test_model_is_run_and_compared(page: Any, start: Callable[..., Any], dataset_folder: Path, run: Callable[..., Any]) -> None:
     """The numbers are those of `evaluate`."""
+    clouds: list[str] = []
+    page.on("response", lambda answer: clouds.append(answer.url) if answer.ok and "/clouds/" in answer.url else None)
     page.goto(start(dataset_folder).address)
     tab(page, "Compare")
     page.get_by_role("button", name="Run").click()
@@ -145,6 +147,8 @@ def test_model_is_run_and_compared(page: Any, start: Callable[..., Any], dataset
     for value, name in ((told[1], "mAD 3D"), (told[3], "mAP@10 cm (literal) 3D"), (told[5], "PCKh@0.5 3D")):
         line = next(line for line in report.splitlines() if line.startswith(name))
         assert line.removeprefix(name).split()[0] == value
+    page.wait_for_timeout(1000)
+    assert clouds  # the worst frame is shown in 3D
 
 
 @pytest.mark.slow

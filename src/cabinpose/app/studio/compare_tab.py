@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
+from cabinpose.app.studio.joint_chart import COLUMNS, column, height, joint_chart
 from cabinpose.app.studio.models import Judged, detectors, error_words, judged, load_choice, worst_first
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
+from cabinpose.app.studio.view3d import look_through, view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
-from cabinpose.core import CabinposeError, PoseBatch, skeleton_of
+from cabinpose.core import CabinposeError, PoseBatch, apply, skeleton_of
 from cabinpose.evaluate import EvaluationOptions, common_joints, joint_distances, predict_dataset, shared_places
 from cabinpose.store import Predictions, dataset_id, dataset_skeleton
 
@@ -155,6 +157,7 @@ class CompareTab:
             self._numbers()
             self._curve()
             self._frame_panes()
+            self._joints_over_frames()
             self._boxes()
         self._show(self._worst()[0])
 
@@ -212,10 +215,26 @@ class CompareTab:
         )
         chart.classes("w-full").style("height: 230px; flex: none").mark("curve")
 
+    def _joints_over_frames(self) -> None:
+        """d(t, j) of each model; a click shows the frame, of a stretch of frames the first."""
+        for index, (name, each) in enumerate(self._judged.items()):
+            whole = each.over_frames
+            d, step = whole.binned(COLUMNS), -(-len(whole.frames) // COLUMNS)
+            words = f"{name}: d by joint and frame, {d.unit}{f', the worst of {step} frames each' if step > 1 else ''}"
+            chart = ui.echart(
+                joint_chart(d, {"text": words, "textStyle": _TITLE | {"color": _colour(index)}}),
+                on_point_click=lambda event, step=step: self._show(column(event) * step),
+            )
+            chart.classes("w-full").style(f"height: {height(d)}px; flex: none").mark("joints")
+
     def _frame_panes(self) -> None:
         with ui.row().classes("no-wrap w-full").style("gap: 10px; height: 420px; align-items: stretch"):
             with ui.element("div").classes("studio-pane"):
                 self._canvas = FrameCanvas()
+            with ui.element("div").classes("studio-pane") as pane:
+                self._cloud = view_3d()
+                pane.on("resize", self._cloud.update)
+                self._eye_set = False
             with ui.column().style("width: 260px; gap: 4px; overflow-y: auto"):
                 self._title = ui.label().style("font-weight: 600")
                 ui.label("white: truth").style("font-size: 12px; opacity: .7")
@@ -286,10 +305,40 @@ class CompareTab:
         self._canvas.show(workspace.url(number_, "depth"), near=near, far=far)
         self._canvas.joints(people, limbs)
         self._frame, self._title.text = number_, f"frame {number_}"
+        self._show_cloud(frame)
+
+    def _show_cloud(self, frame: Any) -> None:
+        """The frame's cloud with truth in white and each model's answers in its colour."""
+        workspace, vehicle_from_camera = self._workspace, frame["vehicle_from_camera"].values
+        self._cloud.clear()
+        with self._cloud:
+            if "depth" in self._dataset:
+                self._cloud.gltf(workspace.cloud_url(int(frame["frame"]), "depth"))
+            _skeletons(
+                self._cloud, apply(vehicle_from_camera, frame["joints_3d"].values), dataset_skeleton(frame).limbs, "#ffffff"
+            )
+            for index, model in enumerate(workspace.predictions.values()):
+                batch = model.take(np.array([int(frame["frame"])]))
+                found = np.where(batch.presence[0, ..., None] >= _PRESENT, batch.joints_3d[0], np.nan)
+                _skeletons(self._cloud, apply(vehicle_from_camera, found), skeleton_of(model).limbs, _colour(index))
+        if not self._eye_set:
+            self._eye_set = True
+            look_through(self._cloud, vehicle_from_camera)
 
 
 _TITLE = {"fontSize": 13, "fontWeight": "normal", "color": "#888"}
 _PRESENT = EvaluationOptions().presence
+
+
+def _skeletons(view: Any, people: NDArray[np.floating], limbs: Sequence[tuple[int, int]], colour: str) -> None:
+    """Draw people (P, J, 3) m in the vehicle's frame, NaN where there is no joint."""
+    for points in people.astype(np.float64):
+        there = np.isfinite(points).all(axis=1)
+        for a, b in limbs:
+            if there[a] and there[b]:
+                view.line(points[a].tolist(), points[b].tolist()).material(colour)
+        for point in points[there]:
+            view.sphere(0.015).move(*point.tolist()).material(colour)
 
 
 def _colour(index: int) -> str:

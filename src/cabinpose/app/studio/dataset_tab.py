@@ -14,7 +14,7 @@ from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.models import FrameErrors, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.tab import Page, Tab, no_dataset
-from cabinpose.app.studio.view3d import view_3d
+from cabinpose.app.studio.view3d import look_through, view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
@@ -237,12 +237,9 @@ class DatasetTab:
                         self._scene.line(points[a].tolist(), points[b].tolist()).material(person_colour(index))
                 for point in points[there]:
                     self._scene.sphere(0.015).move(*point.tolist()).material(person_colour(index))
-        if not self._camera_set:  # from the camera's place, a little behind it
+        if not self._camera_set:
             self._camera_set = True
-            eye = vehicle_from_camera[:3, 3] - 0.4 * vehicle_from_camera[:3, 2] + np.array([0, 0, 0.2])
-            target = vehicle_from_camera[:3, 3] + 1.2 * vehicle_from_camera[:3, 2]
-            (x, y, z), (look_x, look_y, look_z) = eye.tolist(), target.tolist()
-            self._scene.move_camera(x, y, z, look_x, look_y, look_z, 0, 0, 1, duration=0)
+            look_through(self._scene, vehicle_from_camera)
 
     def _statistics(self) -> None:
         workspace = self._workspace

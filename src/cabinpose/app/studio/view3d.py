@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from nicegui import ui
+from numpy.typing import NDArray
 
 # NiceGUI draws twenty times a second, also what nobody sees. Without a GPU that takes a whole core, and with it the time that
 # pictures need. What is drawn again: another place of camera or object, another shape, colour or size of the view.
@@ -37,3 +39,11 @@ def view_3d(**handlers: Callable[..., Any]) -> ui.scene:
     view.on("init", js_handler=_ON_CHANGE % view.id)
     view.style("width: 100%; height: 100%")
     return view
+
+
+def look_through(view: ui.scene, vehicle_from_camera: NDArray[np.float64]) -> None:
+    """Put the eye at a camera's place, a little behind and above it; vehicle_from_camera: (4, 4)."""
+    eye = vehicle_from_camera[:3, 3] - 0.4 * vehicle_from_camera[:3, 2] + np.array([0, 0, 0.2])
+    target = vehicle_from_camera[:3, 3] + 1.2 * vehicle_from_camera[:3, 2]
+    (x, y, z), (look_x, look_y, look_z) = eye.tolist(), target.tolist()
+    view.move_camera(x, y, z, look_x, look_y, look_z, 0, 0, 1, duration=0)
