@@ -19,7 +19,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from cabinpose.core.errors import CabinposeError
 
-_NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 62, (1 << 64) - 1)
+NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 62, (1 << 64) - 1)
 _WORDS = (
     b"nan", b"inf", b"-1", b"1e308", b"99999999999999999999", b"9" * 5000, b"", b"\x00", "²".encode(), b"0x10", b"1_0", b"e",
     b"\xff\xfe",
@@ -52,7 +52,7 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
             changed[at] = int(rng.choice((0, 0xFF, 0x7F, 0x20)))
         elif kind == 2:  # a binary number, of either order
             size = int(rng.choice((1, 2, 4, 8)))
-            value = _NUMBERS[int(rng.integers(len(_NUMBERS)))] & ((1 << 8 * size) - 1)
+            value = NUMBERS[int(rng.integers(len(NUMBERS)))] & ((1 << 8 * size) - 1)
             changed[at : at + size] = value.to_bytes(size, "little" if rng.integers(2) else "big")
         elif kind in (3, 4):  # a number as text
             found = _TOKEN.search(changed, at)
@@ -77,31 +77,40 @@ class Survived:
     slowest_s: float
 
 
-def survive(read: Read, original: bytes, folder: Path, suffix: str, *, count: int, seed: int = 0) -> Survived:
+Fault = Callable[[bytes, np.random.Generator], bytes]
+
+
+def survive(
+    read: Read, original: bytes, folder: Path, suffix: str, *, count: int, seed: int = 0, most_mb: int = _MOST_MB,
+    fault: Fault = mutated,
+) -> Survived:  # fmt: skip
     """Let `read` have `count` damaged files in a process of its own. AssertionError where it does not bear one, which is kept."""
     folder.mkdir(exist_ok=True)
     told = folder / "told.json"
     child = os.fork()
     if child == 0:
-        os._exit(_child(read, original, folder, suffix, count, seed, told))
+        os._exit(
+            _child(
+                read, (fault(original, rng) for rng in [np.random.default_rng(seed)] for _ in range(count)), folder, suffix, told
+            )
+        )
     _, status = os.waitpid(child, 0)
     found = json.loads(told.read_text()) if told.exists() else {}
     place = f"{folder / f'damaged{suffix}'}, seed {seed}"
     assert status == 0, f"{place}: ended with {os.waitstatus_to_exitcode(status)}: {found.get('trace', 'a crash or a hang')}"
-    assert found["grown_mb"] < _MOST_MB, f"{place}: {found['grown_mb']:.0f} MB more"
+    assert found["grown_mb"] < most_mb, f"{place}: {found['grown_mb']:.0f} MB more"
     return Survived(found["read"], found["refused"], found["grown_mb"], found["slowest_s"])
 
 
-def _child(read: Read, original: bytes, folder: Path, suffix: str, count: int, seed: int, told: Path) -> int:
+def _child(read: Read, files: Iterator[bytes], folder: Path, suffix: str, told: Path) -> int:
     faulthandler.disable()  # the exit code tells
     sys.stdout = sys.stderr = (folder / "said.txt").open("w")
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # a hang ends the process
-    rng = np.random.default_rng(seed)
     path = folder / f"damaged{suffix}"
     fates: Counter[str] = Counter()
     slowest, before = 0.0, _most_mb()
-    for _ in range(count):
-        path.write_bytes(mutated(original, rng))
+    for content in files:
+        path.write_bytes(content)
         signal.alarm(_FILE_S * 10)  # of wall time, on a machine that has other work
         began = time.process_time()
         try:

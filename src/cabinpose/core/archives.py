@@ -63,7 +63,10 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
         known = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
         if version not in known:
             raise ValueError(f"{info.filename} is no array")
-        shape, _, dtype = known[version](stream)
+        try:
+            shape, _, dtype = known[version](stream)
+        except Exception as error:  # numpy takes the text for Python, and fails as Python does
+            raise ValueError(f"{info.filename} is no array") from error
     if dtype.hasobject:
         raise ValueError(f"{info.filename} holds Python objects, which are not read")
     if math.prod(shape) * dtype.itemsize > info.file_size:

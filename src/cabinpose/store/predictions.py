@@ -175,6 +175,8 @@ def _read_lines(file: Path) -> tuple[dict[str, Any], Any]:
                 else:
                     message, hint = f"not a line of JSON ({error.msg})", "the file may be cut short"
                 raise PredictionsError(f"{place}: {message}", hint=f"{hint}; {_DESCRIBED}") from error
+            except (ValueError, RecursionError) as error:  # a number of thousands of digits, thousands of brackets
+                raise PredictionsError(f"{place}: not a line of JSON that can be read", hint=_DESCRIBED) from error
             if number == 1:
                 header = row
                 _check_header(file, header)  # before thousands of rows of something else
@@ -282,7 +284,7 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     """The table as arrays; `PredictionsError` for the first row that is wrong."""
     persons, joints = tuple(header["persons"]), tuple(header["joints"])
     numbered = columns["frame"]
-    whole = [isinstance(number, int) and not isinstance(number, bool) and number >= 0 for number in numbered]
+    whole = [isinstance(number, int) and not isinstance(number, bool) and 0 <= number < 1 << 62 for number in numbered]
     _refuse(
         file,
         ~np.array(whole, bool),
@@ -323,7 +325,7 @@ def _refuse(file: Path, wrong: NDArray[np.bool_], what: Callable[[int], str], hi
 def _positions(file: Path, kind: str, names: list[Any], known: tuple[str, ...]) -> NDArray[np.int64]:
     """Of each name, its position among the known ones."""
     index = {name: i for i, name in enumerate(known)}
-    unknown = np.array([name not in index for name in names], bool)
+    unknown = np.array([not isinstance(name, str) or name not in index for name in names], bool)
     _refuse(file, unknown, lambda row: f": unknown {kind} {names[row]!r}", f"the header's {kind}s are {', '.join(known)}")
     return np.array([index[name] for name in names], np.int64)
 
@@ -332,8 +334,8 @@ def _numbers(file: Path, name: str, values: list[Any]) -> NDArray[np.float32]:
     """A column as float32, NaN for null; a score or presence that is left out is 1."""
     missing = 1.0 if name in ("score", "presence") else np.nan
     try:
-        numbers = np.array([missing if value is None else value for value in values], np.float32)
-    except (TypeError, ValueError) as error:
+        numbers = np.array([missing if value is None else float(value) for value in values]).astype(np.float32)
+    except (TypeError, ValueError, OverflowError) as error:
         raise PredictionsError(f"{file}: column {name} holds something that is no number ({error})", hint=_DESCRIBED) from error
     wrong = ~np.isfinite(numbers) & np.array([value is not None for value in values], bool)
     hint = "leave out what was not found; null stands for no coordinate"

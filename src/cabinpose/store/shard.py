@@ -7,6 +7,7 @@ frame is noticed when it is read.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,6 +22,7 @@ from cabinpose.store.schema import DEPTH_SCALE_M
 
 FRAMES_PER_SHARD = 100
 LEVEL = 5
+_LONGEST_TEXT = 1 << 28  # bytes of all texts of a variable in a part
 _ABSENT = 0xFFFF_FFFF_FFFF_FFFF  # index entry of a chunk that was never written
 _INDEX_BYTES = FRAMES_PER_SHARD * 16 + 4
 
@@ -58,7 +60,13 @@ def read_whole(folder: Path, shape: tuple[int, ...], dtype: str) -> NDArray[Any]
 
     Raises OSError, ValueError or RuntimeError where the file is missing, damaged or of another shape.
     """
-    data = _blosc.decode(checked(folder.joinpath(*["0"] * len(shape)).read_bytes()))
+    packed = checked(folder.joinpath(*["0"] * len(shape)).read_bytes())
+    claimed = int.from_bytes(packed[4:8], "little")  # of blosc's head; memory is asked for by it
+    if claimed > (_LONGEST_TEXT if dtype == "str" else np.dtype(dtype).itemsize * math.prod(shape)):
+        raise ValueError(f"it claims {claimed} bytes")
+    data = _blosc.decode(packed)
+    if dtype == "str" and int.from_bytes(data[:4], "little") != math.prod(shape):
+        raise ValueError("another number of texts")
     values: NDArray[Any] = VLenUTF8().decode(data) if dtype == "str" else np.frombuffer(data, dtype)
     return values.reshape(shape)
 

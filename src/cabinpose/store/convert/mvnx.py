@@ -169,7 +169,7 @@ def read_mvnx(path: Path, *, subjects: Sequence[str] = ()) -> Iterator[Row]:
                     break
     except OSError as error:
         raise RecordingError(f"cannot read {path} ({error.strerror or error})", hint="check the path") from error
-    except (expat.ExpatError, _NotMvnxError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+    except (expat.ExpatError, _NotMvnxError, ValueError, OverflowError, LookupError) as error:  # the last: no known encoding
         hint = "export it from MVN again, as MVNX; what precedes the damage was read"
         raise RecordingError(f"{path} is no whole MVNX file, after {line}: {error}", hint=hint) from error
     if reader is None:
