@@ -16,7 +16,7 @@ DEMO := demo
 WERROR ?= OFF
 NATIVE := $(shell find src/native -name '*.cpp' -o -name '*.hpp')
 
-.PHONY: help demo test test-slow test-all test-native coverage lint format bench docs lock clean
+.PHONY: help demo test test-slow test-faults test-all test-native coverage lint format bench docs lock clean
 
 help:  ## what there is
 	@grep -hE '^[a-z-]+: .*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
@@ -39,6 +39,9 @@ test: $(VENV)/.dev  ## the tests but for the slow ones; CABINPOSE_REAL_DATA name
 
 test-slow: $(VENV)/.dev  ## the slow tests alone
 	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m slow
+
+test-faults: $(VENV)/.dev  ## kills, full disks and hostile files alone, which are part of the slow tests
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m faults
 
 test-all: test test-slow  ## all tests
 

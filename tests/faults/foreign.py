@@ -425,7 +425,7 @@ def borne(name: str, folder: Path, *, count: int, seed: int) -> Survived:
 def main() -> None:
     """Print what came of damaged files."""
     count, names = int(sys.argv[1]), sys.argv[2:] or list(READERS)
-    seed = 32
+    seed = 33
     for name in names:
         began = time.monotonic()
         with TemporaryDirectory() as folder:

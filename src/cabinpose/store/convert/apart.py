@@ -10,6 +10,7 @@ from __future__ import annotations
 import faulthandler
 import logging
 import multiprocessing
+import os
 import sys
 import threading
 import warnings
@@ -92,7 +93,8 @@ def items_apart(make: Callable[..., Iterable[T]], path: Path) -> Iterator[T]:
 
 
 def _serve(sender: Connection, make: Callable[..., Iterable[Any]], path: Path, processor_s: int) -> None:
-    faulthandler.disable()  # a crash is told by the exit code
+    faulthandler.disable()  # a crash is told by the exit code, and the last words of the C library help nobody
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     _limit(path, processor_s)
     items: list[Any] = []
     error: Exception | None = None
