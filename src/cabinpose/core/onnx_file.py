@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 _LARGEST = 2 << 30  # bytes of a message
-_ENDLESS = ("Loop", "If", "Scan", "SequenceMap")  # they hold graphs; a Loop need not end, and nothing can interrupt it
 _SHAPED = ("ConstantOfShape", "Expand", "Tile")  # their last input says how much memory they take
 _MOST_NUMBERS = 1 << 28
 _FLOATS = {1: "<f4", 10: "<f2", 11: "<f8"}  # TensorProto.DataType
@@ -79,12 +78,10 @@ class _Found:
             elif number == _NODE_ATTRIBUTE:
                 for key, content in _fields(_message(value)):
                     if key in (_ATTRIBUTE_GRAPH, _ATTRIBUTE_GRAPHS, _ATTRIBUTE_SPARSE):
-                        kind = kind or "a node"
-                        raise ValueError(f"{kind} holds a graph or sparse numbers, which are not run: nothing could interrupt it")
+                        what = kind or "an operator"  # a Loop's body, which need not end
+                        raise ValueError(f"{what} holds a graph or sparse numbers, which are not run: nothing could interrupt it")
                     if key in (_ATTRIBUTE_TENSOR, _ATTRIBUTE_TENSORS):
                         tensors.append(_message(content))
-        if kind in _ENDLESS:
-            raise ValueError(f"it has the operator {kind}, which is not run: nothing could interrupt it")
         for tensor in tensors:
             self.tensor(tensor, output)
         if kind in _SHAPED and inputs:
