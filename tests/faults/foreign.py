@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from types import MappingProxyType
 from typing import Any
 
@@ -432,7 +432,7 @@ def main() -> None:
             try:
                 found: Any = vars(borne(name, Path(folder), count=count, seed=seed))
             except AssertionError as problem:
-                kept = Path(f"/tmp/not-borne-{name.replace(' ', '-')}{READERS[name].suffix}")
+                kept = Path(gettempdir()) / f"not-borne-{name.replace(' ', '-')}{READERS[name].suffix}"
                 shutil.copyfile(Path(folder) / "damaged" / f"damaged{READERS[name].suffix}", kept)
                 found = {"not borne": str(problem), "kept": str(kept)}
         sys.stdout.write(json.dumps({"reader": name, "files": count, "seed": seed, "s": time.monotonic() - began} | found) + "\n")
