@@ -155,7 +155,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         ),
         ("import coco-labels x --out z.jsonl --corrects nope", "nope does not exist", "give the folder of a dataset"),
         ("import", "`cabinpose import` needs a format", "`cabinpose import --help` lists them"),
-        ("emulate tof", "unknown device 'tof'", "known: mvn, stepper, vicon"),
+        ("emulate tof", "unknown device 'tof'", "known: mt, mvn, stepper, vicon"),
         (
             "lab --together --out l",
             "together needs two subjects",

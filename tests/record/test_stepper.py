@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import ConfigError, RecordingError, SourceEndedError
 from cabinpose.record.config import parse_rig
+from cabinpose.record.emulate.mt import MtEmulator, MtEmulatorSettings
 from cabinpose.record.emulate.mvn import MvnEmulator
 from cabinpose.record.emulate.mvn_motion import SuitMotion
 from cabinpose.record.emulate.mvn_streamer import _MOUNT_WXYZ, MvnEmulatorSettings
@@ -165,13 +166,14 @@ def test_what_a_rig_cannot_ask_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sse_finds_what_the_shaft_and_the_sensor_did(tmp_path: Path, run: Callable[..., Any]) -> None:
-    """MVN streams a sensor on the shaft, whose own error is 2° sin θ; the truth is what the emulated shaft did."""
+@pytest.mark.parametrize("kind", ["mvn", "mt"])
+def test_sse_finds_what_the_shaft_and_the_sensor_did(tmp_path: Path, run: Callable[..., Any], kind: str) -> None:
+    """A suit's sensor, or a single one, on the shaft, whose own error is 2° sin θ; the truth is what the emulated shaft did."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     still = SuitMotion(60.0, np.zeros((3, 23, 3)), np.tile((1.0, 0, 0, 0), (3, 23, 1)))
-    mount = Rotation.from_quat(_MOUNT_WXYZ, scalar_first=True)
+    mount = Rotation.from_quat(_MOUNT_WXYZ if kind == "mvn" else (1, 0, 0, 0), scalar_first=True)  # of the emulated sensor
     over, truth = threading.Event(), []
     with StepperEmulator(StepperEmulatorSettings(backlash_deg=1.0, miss_every=3, miss_deg=0.5)) as emulator:
 
@@ -183,11 +185,16 @@ def test_sse_finds_what_the_shaft_and_the_sensor_did(tmp_path: Path, run: Callab
                 truth.append(np.degrees(true))
 
         motor = {"kind": "stepper", "port": emulator.port, **QUICK, "steps": 4, "back": True, "dwell_s": 0.7, "settle_s": 0.3}
-        rig = {"sources": {"motor": motor, "suit": {"kind": "mvn", "host": "127.0.0.1", "port": port}}}
-        (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
-        threading.Thread(target=carry, daemon=True).start()
-        suit = MvnEmulator(MvnEmulatorSettings(port=port, kinds=(2, 23)), still)
+        suit = {
+            "mvn": lambda: MvnEmulator(MvnEmulatorSettings(port=port, kinds=(2, 23)), still),
+            "mt": lambda: MtEmulator(MtEmulatorSettings(), still),
+        }[kind]()
         suit.start()
+        sensor = {"kind": "mvn", "host": "127.0.0.1", "port": port}
+        if isinstance(suit, MtEmulator):
+            sensor = {"kind": "mt", "port": suit.port, "sensors": {"Head": "03880C2A"}}
+        (tmp_path / "rig.yaml").write_text(yaml.safe_dump({"sources": {"motor": motor, "suit": sensor}}))
+        threading.Thread(target=carry, daemon=True).start()
         done = run("record", "--config", tmp_path / "rig.yaml", "--out", tmp_path / "yaw.mcap")
         suit.stop()
         over.set()

@@ -64,6 +64,16 @@ class EmulateVicon(_Emulate):
 
 
 @dataclass(frozen=True, kw_only=True)
+class EmulateMt(_Emulate):
+    """Play single Xsens trackers (MTi, MTw) on a pseudo-terminal, whose name it prints. Ctrl-C ends it."""
+
+    motion: str = "seated"
+    """seated, walk, or an MVNX file to repeat."""
+    link: Maybe[Path] = None
+    """Name that leads to the pseudo-terminal, for a rig's `port`."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class EmulateStepper(_Emulate):
     """Play the controller of a stepper motor (GRBL or Marlin) on a pseudo-terminal, whose name it prints. Ctrl-C ends it."""
 
@@ -71,7 +81,9 @@ class EmulateStepper(_Emulate):
     """Name that leads to the pseudo-terminal, for a rig's `port`."""
 
 
-_COMMANDS: Mapping[str, type[_Emulate]] = {"mvn": EmulateMvn, "vicon": EmulateVicon, "stepper": EmulateStepper}
+_COMMANDS: Mapping[str, type[_Emulate]] = {
+    "mvn": EmulateMvn, "vicon": EmulateVicon, "mt": EmulateMt, "stepper": EmulateStepper,
+}  # fmt: skip
 _VICON_PORT = 8801  # the vendor's own is 801, which most systems keep for the administrator
 _RENAMED: Mapping[str, Mapping[str, str]] = {
     "mvn": {
@@ -91,10 +103,11 @@ def _command(name: str) -> type:
     """The command of a device, with the fields of its emulator's settings as flags."""
     if name not in _COMMANDS:
         raise unknown_name("device", name, list(_COMMANDS))
-    from cabinpose.record.emulate import MvnEmulatorSettings, StepperEmulatorSettings, ViconEmulatorSettings
+    from cabinpose.record.emulate import MtEmulatorSettings, MvnEmulatorSettings, StepperEmulatorSettings, ViconEmulatorSettings
 
     defaults: Mapping[str, BaseModel] = {
-        "mvn": MvnEmulatorSettings(), "vicon": ViconEmulatorSettings(port=_VICON_PORT), "stepper": StepperEmulatorSettings(),
+        "mvn": MvnEmulatorSettings(), "vicon": ViconEmulatorSettings(port=_VICON_PORT),
+        "mt": MtEmulatorSettings(), "stepper": StepperEmulatorSettings(),
     }  # fmt: skip
     command, default = _COMMANDS[name], defaults[name]
     return with_settings(command, name, type(default), default, device=name, __doc__=command.__doc__)
@@ -109,7 +122,7 @@ def modernised(words: Sequence[str]) -> list[str]:
     return renamed(words, {flag: (new, str) for flag, new in old.items()})
 
 
-def run(command: EmulateMvn | EmulateVicon | EmulateStepper) -> None:
+def run(command: EmulateMvn | EmulateVicon | EmulateMt | EmulateStepper) -> None:
     """Emulate a device until its end or Ctrl-C, then print what was sent."""
     summary = _RUNNERS[command.device](command)
     if command.as_json:
@@ -192,6 +205,17 @@ def _wait(seconds: float | None) -> None:
         time.sleep(min(left, 0.5))
 
 
+def _mt(command: EmulateMt) -> dict[str, Any]:
+    from cabinpose.record.emulate import MtEmulator, MtEmulatorSettings
+
+    settings: MtEmulatorSettings = command.settings
+    with MtEmulator(settings, _motion(command.motion)) as emulator:
+        print(f"{', '.join(settings.devices)} on {emulator.port}", file=sys.stderr)
+        with _linked(command.link, emulator.port), suppress(KeyboardInterrupt):
+            _wait(command.seconds)
+    return {"sent": emulator.sent, "lost": emulator.lost, "damaged": emulator.damaged}
+
+
 def _stepper(command: EmulateStepper) -> dict[str, Any]:
     from cabinpose.record.emulate import StepperEmulator, StepperEmulatorSettings
 
@@ -234,4 +258,4 @@ def _vicon_motion(command: EmulateVicon) -> MarkerMotion:
     return generated_motion(rng=rng, rate_hz=command.settings.rate_hz or 100.0, subjects=people)
 
 
-_RUNNERS: Mapping[str, Callable[[Any], dict[str, Any]]] = {"mvn": _mvn, "vicon": _vicon, "stepper": _stepper}
+_RUNNERS: Mapping[str, Callable[[Any], dict[str, Any]]] = {"mvn": _mvn, "vicon": _vicon, "mt": _mt, "stepper": _stepper}

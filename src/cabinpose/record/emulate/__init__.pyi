@@ -1,4 +1,6 @@
 from .base import log_line as log_line
+from .mt import MtEmulator as MtEmulator
+from .mt import MtEmulatorSettings as MtEmulatorSettings
 from .mvn import MvnEmulator as MvnEmulator
 from .mvn import Sent as Sent
 from .mvn_motion import SuitMotion as SuitMotion

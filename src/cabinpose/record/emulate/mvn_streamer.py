@@ -33,7 +33,7 @@ _PARENT = {child: parent for _, parent, child in MVN_JOINTS}
 # The suit's 17 trackers, and how the emulator mounts each: turned about x, so that sensor and segment differ.
 _TRACKED = tuple(n for n in MVN_SEGMENTS if n not in ("L5", "L3", "T12", "Neck", "RightToe", "LeftToe"))
 _MOUNT_WXYZ: F64 = np.array([np.cos(0.4), np.sin(0.4), 0.0, 0.0])
-_NORTH: F64 = np.array([0.4, 0.0, -0.9])  # the magnetic field in the world, of about unit length
+NORTH: F64 = np.array([0.4, 0.0, -0.9])  # the magnetic field in the world, of about unit length
 _SIDE_BY_SIDE_M = 1.0  # between characters
 
 
@@ -223,7 +223,7 @@ class Streamer:
             "free_acceleration": free,
             "acceleration": rotate_wxyz(orientation, free + GRAVITY, inverse=True),
             "angular_velocity": rotate_wxyz(orientation, self.motion.angular_velocity[frame][tracked], inverse=True),
-            "magnetic_field": rotate_wxyz(orientation, np.tile(_NORTH, (len(tracked), 1)), inverse=True),
+            "magnetic_field": rotate_wxyz(orientation, np.tile(NORTH, (len(tracked), 1)), inverse=True),
         }
 
     def _meta(self, header: Header) -> Iterator[Datagram]:

@@ -15,8 +15,6 @@ from __future__ import annotations
 import os
 import re
 import select
-import termios
-import tty
 from collections.abc import Generator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +24,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core import RecordingError, SourceEndedError
+from cabinpose.record.sources.serial_line import open_serial_line
 from cabinpose.signals import MOTOR_CHANNELS, Channels, Counts, HostClock, Sample
 
 AXES = "XYZABC"
@@ -105,7 +104,7 @@ class StepperSource:
 
     def open(self) -> None:
         """Open the line and wait for the controller, which opening may have reset. Nothing turns."""
-        self._fd = _opened(self.settings.port, self.settings.baud)
+        self._fd = open_serial_line(self.settings.port, self.settings.baud)
         self._text, self._garbled, self._may_turn = b"", False, False
         until = self._clock.now_s() + self.settings.answer_s
         state = ""
@@ -290,22 +289,3 @@ def _finish(steps: Generator[None, None, T]) -> T:
             next(steps)
         except StopIteration as end:
             return cast(T, end.value)
-
-
-def _opened(port: Path, baud: int) -> int:
-    """A serial line in raw mode, as a file descriptor."""
-    speed = getattr(termios, f"B{baud}", None)
-    if speed is None:
-        raise RecordingError(f"no serial line runs at {baud} baud here", hint="such as 9600, 115200 or 250000")
-    try:
-        fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        tty.setraw(fd)
-        attributes = termios.tcgetattr(fd)
-        attributes[2] |= termios.CLOCAL | termios.CREAD
-        attributes[4] = attributes[5] = speed
-        termios.tcsetattr(fd, termios.TCSANOW, attributes)
-    except (OSError, termios.error) as error:
-        raise RecordingError(
-            f"cannot open {port} as a serial line ({error.args[-1]})", hint="check the name, and that you may use it (dialout)"
-        ) from error
-    return fd
