@@ -114,7 +114,7 @@ def test_messages_are_found_in_any_pieces_and_among_rubbish() -> None:
 
 def test_numbers_of_every_format() -> None:
     fixed12 = {0x2011: struct.pack(">4i", 1 << 19, -(1 << 20), 3 << 20, 0)}
-    fixed16 = {0x2016: struct.pack(">IhIhIhIh", 1 << 31, 0, 0, -1, 0, 3, 0, 0)}  # NED, 16.32
+    fixed16 = {0x2016: struct.pack(">IhIhIhIh", 1 << 31, 0, 0, -1, 0, 3, 0, 0)}  # 16.32, world: north, east, down
     for of in (fixed12, fixed16):
         np.testing.assert_array_equal(mt.numbers(of, mt.QUATERNION, 4), [[0.5, -1, 3, 0]])
     for double in (False, True):
