@@ -15,11 +15,11 @@ from cabinpose.align.project import align_take
 from cabinpose.align.session import Session, calibrate, correct_pose
 from cabinpose.app.lab.laboratory import record_session
 from cabinpose.app.lab.plan import SESSION, Plan, drive_take
-from cabinpose.app.lab.rig import ERRORS, VirtualRig
+from cabinpose.app.lab.rig import ERRORS, TRACKER_ERRORS, Tracker, VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.store.recording import Recording
 
-EXACT, ALL = "none", "all"
+EXACT, ALL, WITH_TRACKER = "none", "all", "all, the head by the tracker"
 _TAKE_HZ = 5.0  # of the camera: the joints need the stamps of its frames, not their images
 _RARE = ("optical_swaps",)  # what no rig has always: not among "all"
 
@@ -47,16 +47,21 @@ def run(*, errors: tuple[str, ...], views: int, seconds: float, seed: int, say: 
     """
     rig = VirtualRig()
     rigs = {EXACT: rig.noise_free(), ALL: rig}
-    rigs |= {name: rig.only(name) for name in errors or [name for name in ERRORS if name not in _RARE]}
+    rigs |= {name: rig.only(name) for name in errors or [*(name for name in ERRORS if name not in _RARE), *TRACKER_ERRORS]}
+    if set(TRACKER_ERRORS) & set(rigs):
+        rigs[WITH_TRACKER] = rig.model_copy(update={"tracker": Tracker()})
     plan = Plan(views=views, pendulum_s=pendulum_s, seconds=seconds, rate_hz=_TAKE_HZ, exercises=False, seed=seed)
     sessions: dict[str, dict[str, Any]] = {}
     for name, each in rigs.items():
         with tempfile.TemporaryDirectory(prefix="cabinpose-lab-") as folder:
             sessions[name] = _session(Path(folder) / "session", each, plan)
         say(f"{name}: joints {sessions[name]['joints']['mean_cm']:.2f} cm, camera {sessions[name]['camera_mm']:.2f} mm")
-    alone = {name: s["joints"]["mean_cm"] for name, s in sessions.items() if name not in (EXACT, ALL)}
+    alone = {
+        name: s["joints"]["mean_cm"] for name, s in sessions.items() if name not in (EXACT, ALL, WITH_TRACKER, *TRACKER_ERRORS)
+    }
     root = float(np.sqrt(sum(value**2 for value in alone.values())))
     budget = {**alone, "root_of_squares": root, ALL: sessions[ALL]["joints"]["mean_cm"]}
+    budget |= {name: s["joints"]["mean_cm"] for name, s in sessions.items() if name in (WITH_TRACKER, *TRACKER_ERRORS)}
     return {"plan": plan.model_dump(mode="json"), "budget_cm": budget, "sessions": sessions}
 
 

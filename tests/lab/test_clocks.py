@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cabinpose.app.lab.clocks import Clock, ClockSettings
-from cabinpose.app.lab.rig import ERRORS, SOURCES, VirtualRig
+from cabinpose.app.lab.rig import ERRORS, SOURCES, TRACKER_ERRORS, Tracker, VirtualRig
 from cabinpose.core.errors import ConfigError
 
 START = 1_750_000_000_000_000_000
@@ -94,9 +94,9 @@ def test_a_rig_without_errors_keeps_what_is_to_be_found() -> None:
 
 
 def test_each_error_can_be_switched_on_alone() -> None:
-    full, exact = VirtualRig(optical_swaps=True), VirtualRig.exact()
+    full, exact = VirtualRig(optical_swaps=True, tracker=Tracker()), VirtualRig.exact(tracker=Tracker())
     reached = set()
-    for error in ERRORS:
+    for error in (*ERRORS, *TRACKER_ERRORS):
         values, none = full.only(error).model_dump(), exact.model_dump()
         changed = {name for name in values if values[name] != none[name]}
         assert changed, error

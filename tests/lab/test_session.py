@@ -15,7 +15,7 @@ from cabinpose.app.cli import main
 from cabinpose.app.cli.selection import opened
 from cabinpose.app.lab.laboratory import load_rig, load_truth, record_session
 from cabinpose.app.lab.plan import PAIR, RIG, SESSION, Plan, drive_take
-from cabinpose.app.lab.rig import VirtualRig
+from cabinpose.app.lab.rig import Tracker, VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
 from cabinpose.app.lab.takes import dress_up, write_action_take, write_head_take, write_pose_take
 from cabinpose.app.label.labelling import Labelling
@@ -24,7 +24,7 @@ from cabinpose.core.errors import AlignmentError, ConfigError
 from cabinpose.core.frames import invert
 from cabinpose.core.pose import Visibility
 from cabinpose.store import open_dataset
-from cabinpose.store.recording import Recording
+from cabinpose.store.recording import Recording, RecordingWriter
 from cabinpose.store.source import import_source
 
 pytestmark = pytest.mark.slow
@@ -93,6 +93,30 @@ def test_two_people_in_one_car_are_found_each_by_a_suit_of_their_own(folder: Pat
     assert crossed.mean_cm > 40  # the passenger is not where the driver is
     true = [load_truth(folder, code, together=True).visibility for code in ("S01", "S02")]
     assert all((states == Visibility.VISIBLE).any() for states in true)
+
+
+def test_a_tracker_gives_the_head_where_there_is_no_optical_system(folder: Path, tmp_path: Path) -> None:
+    """On the road: the head take has both, the drive has the tracker alone; without errors the joints are as exact."""
+    rig = VirtualRig(tracker=Tracker()).noise_free()
+    actor = dress_up("sedan", "S01", rng=np.random.default_rng(1))
+    head, both, drive = (tmp_path / name for name in ("head.mcap", "both.mcap", "drive.mcap"))
+    write_head_take(head, rig, actor, rng=np.random.default_rng(2))
+    truth = write_action_take(both, rig, actor, 8.0, rate_hz=2.0, rng=np.random.default_rng(4))
+    with Recording(both) as recording, RecordingWriter(drive, recording.take) as writer:
+        for source, sample in recording.samples(["suit", "tracker", "tof"]):
+            writer.write(source, sample)
+    session = Session.load(folder / SESSION)
+    offset = tuple(truth.object_from_head[:3, 3].tolist())
+    subject = session.subjects["S01"].model_copy(update={"take": head, "pose_take": None, "head_offset_m": offset})
+    names = session.names.model_copy(update={"tracker": "tracker"})
+    found = calibrate(session.model_copy(update={"names": names, "subjects": {"S01": subject}})).calibration
+    with Recording(drive) as recording:
+        error = joint_error(align_take(recording, found, "S01"), rig, truth)
+    assert error.mean_cm < 0.15
+    assert error.error_m.max() < 0.004
+    place = found.heads["S01"].tracker
+    assert place is not None
+    assert place.tracker_to_optical.offset_s == pytest.approx(rig.optical.latency_s - Tracker().latency_s, abs=1e-4)
 
 
 @pytest.mark.parametrize(("pose", "least"), [("n-pose", 2.0), ("optical", 5.0)])

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.lsl import LslSettings, LslSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.recorded import Channels, Facts, Sample
+from cabinpose.signals.recorded import Channels, Facts, Sample, SegmentPoses
 
 PATIENCE_S = 120.0  # of a busy machine
 
@@ -102,6 +103,41 @@ def test_numbers_and_their_time_stamps(pylsl: ModuleType) -> None:
     assert abs(host_ns - clock.now_ns()) < 60e9
     assert abs(correction["lsl_clock_to_host_ns"] - (time.time() - pylsl.local_clock()) * 1e9) < 5e9  # of 1e18
     assert (source.counts.received, source.counts.restarts, source.counts.malformed) == (50, 0, 0)
+
+
+@pytest.mark.parametrize("given", [{}, {"pose_up": "y"}])
+def test_a_tracker_gives_poses(pylsl: ModuleType, given: dict[str, Any]) -> None:
+    """By labels and stated units; the oracle of the turned world is scipy's."""
+    info = pylsl.StreamInfo("tracker", "MoCap", 7, 90, "double64", f"id-tracker-{os.getpid()}")
+    channels = info.desc().append_child("channels")
+    for label in ("QW", "QX", "QY", "QZ", "X", "Y", "Z"):
+        channel = channels.append_child("channel").append_child_value("label", label)
+        channel.append_child_value("unit", "millimeters" if len(label) == 1 else "")
+    out = pylsl.StreamOutlet(info)
+    source = make("tracker", **given)
+    source.open()
+    subscribed(out, pylsl)
+    turn = Rotation.from_euler("xyz", (0.3, -0.5, 1.1))
+    x, y, z, w = turn.as_quat()
+    out.push_sample([w, x, y, z, 100.0, 200.0, -300.0])
+    out.push_sample([0.0, 0.0, 0.0, 0.0, 100.0, 200.0, -300.0])
+    found = numbered(until(source, lambda samples: len(numbered(samples)) >= 2))
+    source.close()
+    whole, lost = (next(m for m in s.messages if isinstance(m, SegmentPoses)) for s in found)
+    world = Rotation.from_euler("x", 90 if given else 0, degrees=True)
+    assert (whole.subject, whole.names) == ("head", ("head",))
+    np.testing.assert_allclose(whole.position_m, [world.apply([0.1, 0.2, -0.3])], atol=1e-12)
+    assert (Rotation.from_quat(whole.orientation_wxyz[0], scalar_first=True).inv() * world * turn).magnitude() < 1e-7
+    assert np.isnan(lost.position_m).all()
+    assert np.isnan(lost.orientation_wxyz).all()
+
+
+def test_a_pose_that_is_named_has_to_be_there(pylsl: ModuleType) -> None:
+    out = outlet(pylsl, "named", labels=("a", "b", "c"))
+    source = make("named", pose=("a", "b", "c", "i", "j", "k", "r"))
+    with pytest.raises(RecordingError, match="has no channel i, j, k, r"):
+        source.open()
+    del out
 
 
 def test_markers_become_facts(pylsl: ModuleType) -> None:

@@ -2,6 +2,7 @@ from .board import Board as Board
 from .calibration import Calibration as Calibration
 from .calibration import Extrinsics as Extrinsics
 from .calibration import Head as Head
+from .calibration import HeadTracker as HeadTracker
 from .calibration import Intrinsics as Intrinsics
 from .calibration import KnownDelay as KnownDelay
 from .calibration import Names as Names

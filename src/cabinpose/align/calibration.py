@@ -97,6 +97,17 @@ class PoseCorrection(_Model):
         return np.array([self.shifts_m.get(name, (0.0, 0.0, 0.0)) for name in points])
 
 
+class HeadTracker(_Model):
+    """A mobile tracker on the head in place of the optical system: how the two relate, from the head take, which has both."""
+
+    source: Annotated[str, Field(description="of its poses; subject and segment are named as the optical ones")]
+    world_from_tracker: Rigid
+    body_from_object: Rigid
+    tracker_to_optical: Annotated[KnownDelay, Field(description="stamps of the optical system less the tracker's")]
+    rms_m: Annotated[float | None, Field(description="distance between what both say of the head object")] = None
+    rms_rad: Annotated[float | None, Field(description="and the angle")] = None
+
+
 class Head(_Model):
     """A subject: where the suit's head segment sits in the optical head object, and what the suit lacks."""
 
@@ -110,6 +121,9 @@ class Head(_Model):
     offset: Annotated[str, Field(description="measured, or fitted from the turning head")] = "measured"
     hands_m: Annotated[tuple[Triple, Triple], Field(description="finger bases in the left and right hand segment, m")] = HANDS_M
     pose_correction: Annotated[PoseCorrection | None, Field(description="where a pose was recorded")] = None
+    tracker: Annotated[
+        HeadTracker | None, Field(description="what gives the head in the takes; left out: the optical system")
+    ] = None
 
     @property
     def matrix(self) -> Matrix:
@@ -124,6 +138,9 @@ class Names(_Model):
     optical: str = "optical"
     tof: str = "tof"
     head_object: Annotated[str, Field(description="the optical system's subject on the head")] = "head"
+    tracker: Annotated[
+        str | None, Field(description="source of a mobile tracker that gives the head in the takes in place of `optical`")
+    ] = None
     head_segment: Annotated[str, Field(description="its segment")] = "head"
     board: Annotated[str, Field(description="the optical system's subject of the board's markers")] = "board"
     pendulum: Annotated[str, Field(description="its subject and marker that swings")] = "pendulum"

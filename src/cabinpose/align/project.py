@@ -15,6 +15,7 @@ from cabinpose.align.posture import shifted
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
 from cabinpose.align.time import suit_to_optical
+from cabinpose.align.tracker import as_optical
 from cabinpose.core import CABINPOSE, AlignmentError, UndeterminedError
 from cabinpose.signals import Delay, DelaySearch, WindowDelays, resample_positions, resample_rotations
 from cabinpose.store.recording import Recording, segment_series
@@ -88,13 +89,16 @@ def align_take(
     head = calibration.head(subject)
     frame_ns = frame_times(recording, names.tof)
     suit = segment_series(recording, head.suit or names.suit, subject)
-    optical = segment_series(recording, names.optical, head.head_object or names.head_object)
+    source = names.optical if head.tracker is None else head.tracker.source
+    optical = segment_series(recording, source, head.head_object or names.head_object)
     suit_ns, optical_ns = on_host(suit), on_host(optical)
     origin = int(frame_ns[0])
     suit_head = CABINPOSE.maps["mvn"]["head"]
     _, suit_orientation = suit.segment(suit_head)
     object_position, object_orientation = optical.segment(names.head_segment)
     since, at = seconds(suit_ns, origin), seconds(optical_ns, origin)
+    if head.tracker is not None:
+        at, object_position, object_orientation = as_optical(head.tracker, (at, object_position, object_orientation))
     long = since[-1] - since[0] > _DRIFT_FROM_S
     with naming(recording, f"the head of {subject} in the suit (a) against the optical one (b)"):
         try:

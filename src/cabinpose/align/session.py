@@ -13,7 +13,18 @@ from pydantic import BaseModel, ConfigDict, Field
 from cabinpose.align.board import Board
 from cabinpose.align.boardtake import BoardViews, board_views
 from cabinpose.align.bundle import BoardSightings, refine_camera_from_world
-from cabinpose.align.calibration import Calibration, Extrinsics, Head, Intrinsics, KnownDelay, Names, PoseCorrection, Rigid, rows
+from cabinpose.align.calibration import (
+    Calibration,
+    Extrinsics,
+    Head,
+    HeadTracker,
+    Intrinsics,
+    KnownDelay,
+    Names,
+    PoseCorrection,
+    Rigid,
+    rows,
+)
 from cabinpose.align.chain import rigid
 from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points
 from cabinpose.align.head import HeadAlignment, HeadOffset, align_head, head_offset, measured_offset
@@ -23,6 +34,7 @@ from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
 from cabinpose.align.time import suit_to_optical, tof_to_optical
+from cabinpose.align.tracker import place_tracker
 from cabinpose.core import CABINPOSE, JOINTS, AlignmentError, Camera, Matrix, apply, transform
 from cabinpose.signals import Delay, DelaySearch, resample_positions, resample_rotations
 from cabinpose.store import read_mapping, validated
@@ -124,11 +136,12 @@ def calibrate(session: Session) -> Calibrated:
     with _opened(session.pendulum_take) as recording, naming(recording, step):
         delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
         host = recording.head.host
-    heads, hosts = {}, {}
+    heads, hosts, trackers = {}, {}, {}
     for code, subject in session.subjects.items():
         step = f"the head of {code} in the suit (a) against the optical one (b)"
         with _opened(subject.take) as recording, naming(recording, step):
             heads[code] = _head(recording, names, code, subject)
+            trackers[code] = _tracker(recording, names, subject)
             hosts[subject.take.name] = recording.head.host
     calibration = Calibration(
         names=names,
@@ -151,6 +164,7 @@ def calibrate(session: Session) -> Calibrated:
                 suit_to_optical=_plain(late),
                 offset=offset.method,
                 hands_m=session.subjects[code].hands_m,
+                tracker=trackers[code],
                 pose_correction=correct_pose(names, code, session.subjects[code], turn.object_from_head),
             )
             for code, (turn, offset, late) in heads.items()
@@ -239,6 +253,18 @@ def _head(recording: Recording, names: Names, code: str, subject: SubjectSession
     pivot = apply(turn.world_from_suit, above)
     span = max(int(_PIVOT_SPAN_S / period), 3)
     return turn, head_offset(position, orientation, p_pivot=pivot, spans=span), delay
+
+
+def _tracker(recording: Recording, names: Names, subject: SubjectSession) -> HeadTracker | None:
+    """How the tracker that gives the head in the takes relates to the optical system; None where there is none."""
+    if names.tracker is None:
+        return None
+    both = [
+        segment_series(recording, source, subject.head_object or names.head_object) for source in (names.tracker, names.optical)
+    ]
+    origin = int(both[0].host_ns[0])
+    tracker, optical = ((seconds(on_host(series), origin), *series.segment(names.head_segment)) for series in both)
+    return place_tracker(names.tracker, tracker, optical, DelaySearch(max_lag_s=_GREATEST_LAG_S))
 
 
 def correct_pose(names: Names, code: str, subject: SubjectSession, object_from_head: Matrix) -> PoseCorrection | None:

@@ -82,6 +82,9 @@ def _rows(found: Calibrated, out: Path) -> list[tuple[str, str]]:
         rows.append((f"head of {code}", f"{degrees(turn.rms_rad):.2f} deg between the systems, turned by {turned} deg"))
         rows.append(("  suit's delay", _delay(late.offset_s, late.interval_s, late.correlation)))
         rows.append(("  C1 in the head object", f"{', '.join(f'{1000 * x:.0f}' for x in offset.offset)} mm, {offset.method}"))
+        if (tracker := found.calibration.heads[code].tracker) is not None:
+            told = f"{1000 * (tracker.rms_m or 0):.1f} mm, {degrees(tracker.rms_rad or 0):.2f} deg from the optical system"
+            rows.append((f"  {tracker.source}", told))
         if (pose := found.calibration.heads[code].pose_correction) is not None:
             size = {name: 1000 * hypot(*shift) for name, shift in pose.shifts_m.items()}
             worst = max(size, key=size.__getitem__)

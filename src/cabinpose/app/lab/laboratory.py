@@ -56,7 +56,7 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
     def drawn(*take: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(np.random.SeedSequence((plan.seed, *take))))
 
-    _write_yaml(folder / RIG, rig.model_dump(mode="json"))
+    _write_yaml(folder / RIG, rig.model_dump(mode="json", exclude_none=True))
     board = Board()
     shown = board_take(rig, views=plan.views, board=board, rng=drawn(0))
     write_board_take(folder / BOARD, rig, shown, frames_per_view=plan.frames_per_view, rng=drawn(1))
@@ -84,17 +84,17 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
         pair = actors[0], actors[1].moved_to("front_passenger", rng=drawn(9))
         write_pair_take(folder / PAIR, rig, pair, plan.seconds, rate_hz=plan.rate_hz, rng=drawn(10))
         report(plan.steps)
-    _write_session(folder, board, actors, truths)
+    _write_session(folder, rig, board, actors, truths)
     return truths
 
 
-def _write_session(folder: Path, board: Board, actors: Sequence[Actor], truths: Mapping[str, Truth]) -> None:
+def _write_session(folder: Path, rig: VirtualRig, board: Board, actors: Sequence[Actor], truths: Mapping[str, Truth]) -> None:
     """The session as a user would write it: what can be measured with a ruler is given, everything else is to be found."""
 
     def measured(p: NDArray[np.float64]) -> list[float]:
         return [round(float(x), 9) for x in p]
 
-    session = {
+    session: dict[str, Any] = {
         "board": board.model_dump(mode="json"),
         "intrinsics": "checkerboard",
         "board_take": BOARD,
@@ -115,6 +115,8 @@ def _write_session(folder: Path, board: Board, actors: Sequence[Actor], truths: 
         # the car stands where the first drive has it, and stays there
         "vehicle_from_world": invert(next(iter(truths.values())).world_from_scene).tolist(),
     }
+    if rig.tracker is not None:
+        session["names"] = {"tracker": "tracker"}
     _write_yaml(folder / SESSION, session)
 
 

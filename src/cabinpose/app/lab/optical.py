@@ -7,10 +7,12 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from cabinpose._native import lab
 from cabinpose.app.lab.motion import KeyedMotion
+from cabinpose.app.lab.rig import Tracker
 from cabinpose.core import CABINPOSE, Matrix, apply, invert, transform
 from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIALS
@@ -41,6 +43,10 @@ _STALK_M = 0.03
 _CONE = 0.97  # cosine of the cone about a direction in which the head's surface is sought
 # The object's axes, as an operator draws them up, against the head's.
 _OBJECT_TURN = Rotation.from_euler("ZYX", (23.0, -14.0, 8.0), degrees=True)
+# A mobile tracker stands on the dashboard, its body on the cap's back; it is off by the same for so many seconds.
+_TRACKER_FROM_WORLD = transform(Rotation.from_euler("ZYX", (130.0, 3.0, -2.0), degrees=True), (0.4, -0.7, 0.9))
+_BODY_FROM_OBJECT = transform(Rotation.from_euler("ZYX", (-40.0, 25.0, 10.0), degrees=True), (0.02, -0.03, 0.06))
+_WANDER_S = 5.0
 _ENDS_M = 0.004  # a ray ends this far before its marker, the radius of which it is
 _MOVED_M = 0.1  # by which a head may leave the places where it was looked for
 _TRANSMISSIVE = np.array([m.id for m in MATERIALS if m.transmissive], np.uint8)
@@ -181,6 +187,21 @@ def measured_object(
         position[enough] = fitted[:, :3, 3]
         orientation[enough] = Rotation.from_matrix(fitted[:, :3, :3]).as_quat(scalar_first=True)
     return position, orientation
+
+
+def measured_tracker(world_from_object: Matrix, time_s: F64, errors: Tracker, *, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Position (T, 3) m and orientation (T, 4) wxyz of a tracker's body, fixed to the cap, in the tracker's own world.
+
+    It is off from sample to sample, and slowly: a first-order process of `_WANDER_S`.
+    """
+    true = _TRACKER_FROM_WORLD @ world_from_object @ invert(_BODY_FROM_OBJECT)
+    fast, drawn = rng.standard_normal((2, 2, len(true), 3))
+    stays = np.exp(-float(np.median(np.diff(time_s))) / _WANDER_S)
+    drawn[:, 1:] *= np.sqrt(1 - stays**2)
+    slow = lfilter([1.0], [1.0, -stays], drawn, axis=1)
+    position = true[:, :3, 3] + errors.noise_m * fast[0] + errors.wander_m * slow[0]
+    turned = np.radians(errors.noise_deg * fast[1] + errors.wander_deg * slow[1])
+    return position, (Rotation.from_matrix(true[:, :3, :3]) * Rotation.from_rotvec(turned)).as_quat(scalar_first=True)
 
 
 def measured_model(

@@ -14,7 +14,7 @@ from cabinpose.core import Matrix, invert, is_rigid, look_at, unknown_name
 from cabinpose.scene.sensor import PhysicalNoise, Sensor, sensor_by_name
 from cabinpose.signals import ClockMap
 
-Source = Literal["tof", "optical", "suit", "suit2"]
+Source = Literal["tof", "optical", "suit", "suit2", "tracker"]
 SOURCES: tuple[Source, ...] = ("tof", "optical", "suit", "suit2")
 Row = tuple[float, float, float, float]
 Rows = tuple[Row, Row, Row, Row]
@@ -32,6 +32,20 @@ class Device(ClockSettings):
     """A device's clock, and how often it gives a sample."""
 
     rate_hz: float = Field(gt=0, description="Samples per second of its own clock.")
+
+
+class Tracker(Device):
+    """A mobile tracker on the head: its clock, and what it gets wrong, one sigma about each axis."""
+
+    rate_hz: float = Field(default=90.0, gt=0, description="Samples per second of its own clock.")
+    offset_s: float = Field(default=203.1, description="What its clock shows at the rig's start (s).")
+    drift_ppm: float = Field(default=12.0, gt=-1e5, lt=1e5, description="How much faster than true time it runs (1e-6).")
+    latency_s: float = Field(default=0.015, ge=0, description="From the moment that a sample shows to its arrival, at least (s).")
+    jitter_s: float = Field(default=0.002, ge=0, description="Mean of what comes on top of the latency (s).")
+    noise_m: float = Field(default=0.001, ge=0, description="Of the position, from sample to sample (m).")
+    noise_deg: float = Field(default=0.2, ge=0, description="Of the orientation, from sample to sample (deg).")
+    wander_m: float = Field(default=0.003, ge=0, description="Of the position, over seconds (m).")
+    wander_deg: float = Field(default=0.5, ge=0, description="Of the orientation, over seconds (deg).")
 
 
 class SuitErrors(BaseModel):
@@ -83,6 +97,9 @@ class VirtualRig(BaseModel):
         default=Device(rate_hz=60, offset_s=98.4, drift_ppm=-12, resolution_ns=1_000_000, latency_s=0.034, jitter_s=0.005),
         description="The clock of a second person's suit.",
     )
+    tracker: Tracker | None = Field(
+        default=None, description="A mobile tracker beside the optical system, which then gives the head in the takes."
+    )
     sensor_noise: bool = Field(default=True, description="Shot and read noise of the camera.")
     sensor_systematic: bool = Field(
         default=True, description="Wiggling, stray light, ambient light and full wells of the camera."
@@ -129,13 +146,14 @@ class VirtualRig(BaseModel):
 
     def noise_free(self) -> VirtualRig:
         """The rig without an error: no noise, no jitter, no rounding; clocks keep offset, drift and latency."""
-        return self._without(ERRORS)
+        return self._without(tuple(_ZERO))
 
     def only(self, error: str) -> VirtualRig:
         """The rig with one of `ERRORS` alone. Raises ConfigError for a name that is none."""
-        if error not in ERRORS:
-            raise unknown_name("error of a rig", error, ERRORS)
-        return self._without(tuple(name for name in ERRORS if name != error))
+        if error not in _ZERO:
+            raise unknown_name("error of a rig", error, tuple(_ZERO))
+        rig = self if error in ERRORS or self.tracker is not None else self.model_copy(update={"tracker": Tracker()})
+        return rig._without(tuple(name for name in _ZERO if name != error))
 
     @classmethod
     def exact(cls, **settings: Any) -> VirtualRig:
@@ -147,6 +165,8 @@ class VirtualRig(BaseModel):
         for error in errors:
             for path, zero in _ZERO[error].items():
                 *owner, field = path.split(".")
+                if owner and values[owner[0]] is None:
+                    continue
                 (values[owner[0]] if owner else values)[field] = zero
         return VirtualRig.model_validate(values)
 
@@ -159,9 +179,12 @@ _ZERO: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "optical_noise": {"optical_noise_m": 0.0},
         "optical_occlusion": {"optical_occlusion": False},
         "optical_swaps": {"optical_swaps": False},
-        "clock_jitter": {f"{source}.jitter_s": 0.0 for source in SOURCES},
-        "clock_resolution": {f"{source}.resolution_ns": 1 for source in SOURCES},
+        "clock_jitter": {f"{source}.jitter_s": 0.0 for source in (*SOURCES, "tracker")},
+        "clock_resolution": {f"{source}.resolution_ns": 1 for source in (*SOURCES, "tracker")},
         **{name: {f"suit_errors.{name}": 0.0} for name in SuitErrors.model_fields},
+        "tracker_noise": {"tracker.noise_m": 0.0, "tracker.noise_deg": 0.0},
+        "tracker_wander": {"tracker.wander_m": 0.0, "tracker.wander_deg": 0.0},
     }
 )
-ERRORS = tuple(_ZERO)
+TRACKER_ERRORS = ("tracker_noise", "tracker_wander")
+ERRORS = tuple(name for name in _ZERO if name not in TRACKER_ERRORS)  # of every rig

@@ -22,6 +22,7 @@ from cabinpose.app.lab.optical import (
     kept,
     measured_model,
     measured_object,
+    measured_tracker,
     true_object,
 )
 from cabinpose.app.lab.rig import Device, Source, VirtualRig
@@ -201,6 +202,8 @@ def _write(
     for (actor, moves), truth in zip(people, truths, strict=True):
         streams[actor.suit] = _suit(rig, actor, moves, world, seconds, truth, rng=rng)
     streams["optical"] = _optical(rig, people, world, seconds, truths, rng=rng)
+    if rig.tracker is not None:
+        streams["tracker"] = _tracker(rig, people, world, seconds, rng=rng.spawn(1)[0])  # all else is drawn as without it
     if rate_hz:
         camera = SceneCamera(rig, [m for _, m in people], world, furnish_room(rng=rng) if room else None, sensor=sensor)
         streams["tof"] = _tof(rig, camera, people, rate_hz, seconds, truths, rng=rng)
@@ -266,6 +269,23 @@ def _optical(
     return samples(rig.clock("optical"), true_ns, host_ns, messages)
 
 
+def _tracker(
+    rig: VirtualRig, people: Sequence[tuple[Actor, KeyedMotion]], world: Matrix, seconds: float, *, rng: np.random.Generator
+) -> Iterator[Sample]:
+    """The samples of the mobile tracker: a body on each cap."""
+    assert rig.tracker is not None
+    true_ns, host_ns, time = _ticks(rig, "tracker", seconds, rng=rng)
+    bodies = []
+    for actor, motion in people:
+        true = true_object(world @ true_segments(motion, time).pose("Head"), actor.cap)
+        bodies.append((actor.head, *measured_tracker(true, time, rig.tracker, rng=rng)))
+
+    def messages(k: int) -> tuple[Message, ...]:
+        return tuple(SegmentPoses(name, (HEAD_SEGMENT,), at[k, None], turned[k, None]) for name, at, turned in bodies)
+
+    return samples(rig.clock("tracker"), true_ns, host_ns, messages)
+
+
 def _tof(
     rig: VirtualRig, camera: SceneCamera, people: Sequence[tuple[Actor, KeyedMotion]], rate_hz: float, seconds: float,
     truths: list[dict[str, Any]], *, rng: np.random.Generator,
@@ -303,5 +323,5 @@ def _truth(rig: VirtualRig, actor: Actor, motion: KeyedMotion, world: Matrix, va
         hands=np.stack([hand_offset(actor.person, side) for side in "lr"]),
         windows=np.array([w.name for w in motion.windows], np.str_),
         window_ns=rig.start_ns + np.rint(spans * 1e9).astype(np.int64),
-        rig=rig.model_dump_json(),
+        rig=rig.model_dump_json(exclude_none=True),
     )

@@ -1,5 +1,8 @@
 """Any stream of the Lab Streaming Layer, through `pylsl`: numbers as channels, strings (markers) as facts.
 
+A stream of seven channels x, y, z, qx, qy, qz, qw, as mobile trackers send them, or of seven that the rig names, is a pose too:
+it stands beside the channels as the segment that `align` takes for the head.
+
 Time stamps are the sender's clock, as they come; how that clock lies to this computer's is measured again and again and said
 in facts, so that alignment can use all of it. LSL does not count samples: they are numbered as they come, and a stream that
 broke off and came back counts as a restart.
@@ -8,16 +11,21 @@ broke off and came back counts as a restart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core import RecordingError, optional_module
 from cabinpose.record.sources.base import DeviceSource
-from cabinpose.signals import Channels, Facts, HostClock, Message, Sample
+from cabinpose.signals import F64, Channels, Facts, HostClock, Message, Sample, SegmentPoses, product
 
 _MOST_CHANNELS = 4096
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_UNITS_M = {"": 1.0} | dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0) | {"cm": 0.01, "centimeters": 0.01}
+_UNITS_M |= dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 0.001)
+_UNIT_OFF = 0.01  # by which a quaternion's length may be off 1: single precision and rounded text are far below
+_Z_FROM_Y_UP: F64 = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # a quarter turn about x
 _LONGEST_DESCRIPTION = 1 << 20
 _ANSWER_S, _RETRY_S = 0.02, 0.25  # LSL measures the sender's clock on a thread of its own, for about a second at first
 
@@ -32,6 +40,12 @@ class LslSettings(BaseModel):
     resolve_s: float = Field(5.0, gt=0, le=300, description="seconds to look for it when it is opened")
     buffer_s: int = Field(60, ge=1, le=3600, description="seconds of samples that LSL keeps for a reader that is late")
     correct_every_s: float = Field(5.0, gt=0, description="seconds between measurements of the sender's clock")
+    pose: tuple[str, str, str, str, str, str, str] | None = Field(
+        None, description="channels of x, y, z and the quaternion's x, y, z, w, where they are called otherwise"
+    )
+    pose_unit_m: float | None = Field(None, gt=0, description="unit of x, y, z in metres; left out: what the stream says, else 1")
+    pose_up: Literal["y", "z"] = Field("z", description="axis of the tracker's world that points up")
+    subject: str = Field("head", min_length=1, description="whose pose it is; its segment has the same name")
     reconnect_s: float = Field(2.0, gt=0, description="seconds between attempts to find a stream that went away")
 
     @model_validator(mode="after")
@@ -50,6 +64,8 @@ class LslSource(DeviceSource[LslSettings]):
         super().__init__(name, settings, clock)
         self._inlet: Any = None
         self._labels: tuple[str, ...] = ()
+        self._pose: list[int] = []  # the channels of a pose
+        self._unit_m = 1.0
         self._text = False
         self._about = ""
         self._sequence = 0
@@ -120,11 +136,19 @@ class LslSource(DeviceSource[LslSettings]):
             raise RecordingError(f"the LSL stream {info.name()} has {count} channels", hint=f"1 to {_MOST_CHANNELS} can be read")
         self._labels = _labels(info, count)
         self._text = info.channel_format() == pylsl.cf_string
+        self._pose = [] if self._text else _pose_channels(self._labels, self.settings.pose)
+        self._unit_m = self.settings.pose_unit_m or (_stated_unit(info, self._pose) if self._pose else 1.0)
         self._about = info.name() or self.name
         self._inlet = inlet
         self._next_correction_s = 0.0
         about: dict[str, object] = {"name": info.name(), "type": info.type(), "source_id": info.source_id()}
         about |= {"rate_hz": float(info.nominal_srate()), "format": "string" if self._text else "number"}
+        if self._pose:
+            about["pose"] = {
+                "channels": [self._labels[i] for i in self._pose],
+                "unit_m": self._unit_m,
+                "up": self.settings.pose_up,
+            }
         description = info.as_xml()
         about |= {"channels": list(self._labels), "description": description if len(description) <= _LONGEST_DESCRIPTION else ""}
         self._pending.append(Facts("stream", about))
@@ -154,9 +178,48 @@ class LslSource(DeviceSource[LslSettings]):
         elif self._text:
             messages = (Facts(self._about, dict(zip(self._labels, (str(v) for v in row), strict=True))),)
         else:
-            messages = (Channels(self._labels, np.array(row, dtype=np.float64)),)
+            values = np.array(row, dtype=np.float64)
+            messages = (Channels(self._labels, values),)
+            if self._pose:
+                messages += (self._posed(values[self._pose]),)
         device_ns = round(stamp * 1e9) if np.isfinite(stamp) else None
         return Sample(sequence, host_ns, device_ns, b"", messages)
+
+    def _posed(self, values: F64) -> SegmentPoses:
+        """The pose in seven values; all NaN where the tracker has lost itself."""
+        position, turn = values[:3] * self._unit_m, values[[6, 3, 4, 5]]
+        length = float(np.linalg.norm(turn))
+        if not (np.isfinite(values).all() and abs(length - 1) < _UNIT_OFF):
+            position, turn = np.full(3, np.nan), np.full(4, np.nan)
+        else:
+            turn = turn / length
+            if self.settings.pose_up == "y":
+                position, turn = position[[0, 2, 1]] * (1, -1, 1), product(_Z_FROM_Y_UP, turn)
+        return SegmentPoses(self.settings.subject, (self.settings.subject,), position[None], turn[None])
+
+
+def _pose_channels(labels: Sequence[str], named: Sequence[str] | None) -> list[int]:
+    """Where a pose stands among the channels, in the order x y z qx qy qz qw; nothing where there is none.
+
+    Raises RecordingError where a named channel is not there.
+    """
+    if named is not None:
+        if lacking := [name for name in named if name not in labels]:
+            raise RecordingError(f"the LSL stream has no channel {', '.join(lacking)}", hint=f"it has: {', '.join(labels)}")
+        return [labels.index(name) for name in named]
+    lower = [label.lower() for label in labels]
+    return [lower.index(name) for name in _POSE] if sorted(lower) == sorted(_POSE) else []
+
+
+def _stated_unit(info: Any, pose: Sequence[int]) -> float:
+    """The unit of a pose's x in the stream's description, m. Raises RecordingError for one that is not known."""
+    channel = info.desc().child("channels").child("channel")
+    for _ in range(pose[0]):
+        channel = channel.next_sibling("channel")
+    unit = "" if channel.empty() else str(channel.child_value("unit")).lower()
+    if unit not in _UNITS_M:
+        raise RecordingError(f"positions of the LSL stream are in '{unit}'", hint="say how long that is with pose_unit_m")
+    return _UNITS_M[unit]
 
 
 def _load() -> Any:
