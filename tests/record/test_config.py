@@ -67,7 +67,12 @@ def test_each_kind_is_a_source_with_described_settings(kind: str) -> None:
     source_class = SOURCES[kind]
     assert source_class.Settings.model_config["extra"] == "forbid"
     assert source_class.Settings.model_config["frozen"]
-    paths = {"azure_mkv": {"path": "a.mkv"}, "replay": {"path": "a.mcap"}, "stepper": {"port": "a.tty"}}
+    paths: dict[str, dict[str, Any]] = {
+        "azure_mkv": {"path": "a.mkv"},
+        "replay": {"path": "a.mcap"},
+        "stepper": {"port": "a.tty"},
+    }
+    paths["mt"] = {"port": "a.tty", "sensors": {"head": "03880C2A"}}
     needed = {**paths, "lsl": {"stream": "eeg"}, "genicam": {"producer": "a.cti"}, "synth": {"scenes": "a.yaml"}}
     (plan,) = parse_rig({"sources": {"a": {"kind": kind, **needed.get(kind, {})}}}).sources
     source: FrameSource = plan.build(HostClock())
