@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose.core.skeleton import MVN_SEGMENTS
 from cabinpose.evaluate.mocap.sse import STEP_RAD
+from cabinpose.signals.recorded import Channels
 
 pytest.importorskip("mcap")
 
@@ -120,6 +121,26 @@ def test_sse_tells_the_steps_error(run: Callable[..., Any], yaw: Path, tmp_path:
     assert "error about the axis  0.50 °" in table.out
 
 
+def test_sse_counts_standstills_with_the_motors_angle_as_without(run: Callable[..., Any], tmp_path: Path) -> None:
+    """Two adjacent standstills without a turn between them that one can see (the motor goes by 1 degree/s) are one."""
+    time = np.arange(0, 9 * 1.5 - 0.3, 1 / 30)
+    number = np.floor(time / 1.5)
+    angle = (number + np.clip((time - number * 1.5 - 1.2) / 0.3, 0, 1)) * STEP_RAD
+    waits = np.where(time < 6, 3 * STEP_RAD, angle - STEP_RAD + np.radians(1.0) * np.clip(time - 6, 0, 1))
+    slow = np.where(time < 5.7, angle, waits)
+    for name, turn in (("right", angle), ("merged", slow)):
+        q = Rotation.from_rotvec(turn[:, None] * (0, 0, 1.0)).as_quat(scalar_first=True)
+        motor = [(at, Channels(("deg",), np.array([x]))) for at, x in zip(time.tolist(), np.degrees(turn), strict=True)]
+        moving_body.write_take(tmp_path / f"{name}.mcap", {"imu": moving_body.sensor_stream(time, q), "motor": motor})
+    words = ("--steps", "9", "--motor", "motor/deg")
+    record = judged(run, "sse", f"yaw={tmp_path / 'right.mcap'}", *words, "--samples", "20")
+    assert record["notes"] == ["yaw: 9 steps, 180 samples"]  # none of those while it turned
+    assert median(record, "error about the axis") < 1e-9
+    for motor in ((), ("--motor", "motor/deg")):
+        done = run("evaluate-mocap", "sse", f"yaw={tmp_path / 'merged.mcap'}", "--steps", "9", *motor, *FEW)
+        assert (done.code, "stands still 8 times; 9 steps were expected" in done.err) == (2, True), done.err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -127,6 +148,7 @@ def test_sse_tells_the_steps_error(run: Callable[..., Any], yaw: Path, tmp_path:
         (["sse", "yaw={yaw}"], "stands still 9 times; 33 steps were expected"),
         (["sse", "yaw={yaw}", "--sensor", "left"], "no orientations of a sensor 'left'"),
         (["sse", "yaw={yaw}", "--motor", "motor"], "names no channel"),
+        (["sse", "yaw={yaw}", "--motor", "imu/deg"], "gives no channel 'deg'"),
         (["sfe"], "nothing to evaluate"),
         (["sfe", "{drive}", "--first", "0", "1"], "one of the two poses has no time"),
         (["sfe", "{drive}", "--subject", "S02"], "no SegmentPoses of 'S02'"),

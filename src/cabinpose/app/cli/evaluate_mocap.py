@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cabinpose.app.mocap.figures import Section
     from cabinpose.app.mocap.inputs import PointTracks
     from cabinpose.evaluate.mocap import Bone, Judgement, SfeRun, SseRun
+    from cabinpose.signals import F64
 
 _MOTOR_GAP_S = 60.0  # an encoder may speak only when it turns
 Outcome = tuple["Judgement", "list[Section]", dict[str, Any]]
@@ -156,15 +157,19 @@ def _sse_run(command: EvaluateSse, axis: str, path: Path) -> SseRun:
         raise ConfigError(f"'{command.motor}' names no channel", hint="write --motor SOURCE/CHANNEL")
     motor = read_channels(path, (channel,) if slash else MOTOR_CHANNELS, source=source or None)
     samples = command.samples or None
+    if slash and motor is None:
+        raise RecordingError(f"{path}: {source} gives no channel '{channel}'", hint=f"see cabinpose info {path}")
+    angle: F64 | None = None
     if motor is not None:
         at_s, values = (motor[0] - origin_ns) / 1e9, motor[1]
         values = resample_positions(at_s, values, time, max_gap_s=_MOTOR_GAP_S, policy="previous")
-        marks = None if slash else np.nan_to_num(values[:, 1], nan=-1).astype(np.int64)
-        return sse_run(time, turned, axis=axis, step=marks, reference_rad=np.radians(values[:, 0]), samples=samples)
-    if slash:
-        raise RecordingError(f"{path}: {source} gives no channel '{channel}'", hint=f"see cabinpose info {path}")
+        angle = np.radians(values[:, 0])
+        if not slash:  # a stepper says itself where it stands
+            step = np.nan_to_num(values[:, 1], nan=-1).astype(np.int64)
+            return sse_run(time, turned, axis=axis, step=step, reference_rad=angle, samples=samples)
     step = find_steps(time, turned, count=command.steps, limit_rad_s=np.radians(command.still_deg_s), least_s=command.still_s)
-    return sse_run(time, turned, axis=axis, step=step, step_rad=np.radians(command.step_deg), samples=samples)
+    step_rad = np.radians(command.step_deg)
+    return sse_run(time, turned, axis=axis, step=step, reference_rad=angle, step_rad=step_rad, samples=samples)
 
 
 def _sfe(command: EvaluateSfe) -> Outcome:

@@ -65,7 +65,7 @@ def find_steps(
     if len(windows) != count:
         raise AlignmentError(
             f"the sensor stands still {len(windows)} times; {count} steps were expected",
-            hint="give the steps' number, or the limits of stillness (speed, time); or the motor's own angle",
+            hint="give the steps' number, or the limits of stillness (speed, time); a source of kind stepper tells them itself",
         )
     step = np.full(len(time), -1, np.int64)
     for number, window in enumerate(windows):
