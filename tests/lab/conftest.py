@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,8 @@ from cabinpose.app.lab.motion import KeyedMotion, Stage, act, calibrate_head, in
 from cabinpose.app.lab.optical import cap_of
 from cabinpose.app.lab.suit import put_on
 from cabinpose.app.lab.takes import Actor
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 def generator(seed: int) -> np.random.Generator:

@@ -14,7 +14,7 @@ from cabinpose.align.head import head_agreement
 from cabinpose.align.posture import shifted
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
-from cabinpose.align.time import suit_to_optical
+from cabinpose.align.time import TISSUE_S, refuse_vague, resolution_s, suit_to_optical, widened
 from cabinpose.align.tracker import as_optical
 from cabinpose.core import CABINPOSE, AlignmentError, UndeterminedError
 from cabinpose.signals import Delay, DelaySearch, WindowDelays, resample_positions, resample_rotations
@@ -104,7 +104,8 @@ def align_take(
         try:
             search = DelaySearch(max_lag_s=max_lag_s, drift=long)
             delay = suit_to_optical(since, suit_orientation, at, object_orientation, search)
-            delay = with_known(delay, head.suit_to_optical)
+            delay = with_known(widened(delay, resolution_s(suit.device_ns, optical.device_ns)), head.suit_to_optical)
+            refuse_vague(delay)
         except UndeterminedError:  # a few seconds, or a head that hardly turns: the head take may know
             if head.suit_to_optical is None or head.suit_to_optical.interval_s is None:
                 raise
@@ -147,7 +148,7 @@ def with_known(measured: Delay, known: KnownDelay | None) -> Delay:
         return measured
     share = there**2 / max(here**2 + there**2, 1e-30)
     offset = share * measured.offset_s + (1 - share) * known.offset_s
-    half = np.sqrt(share) * here
+    half = max(np.sqrt(share) * here, min(TISSUE_S, here, there))  # what both takes have in common is not halved
     return replace(measured, offset_s=float(offset), interval_s=(float(offset - half), float(offset + half)))
 
 

@@ -12,10 +12,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core import AlignmentError, Camera, Matrix, apply, unknown_name
+from cabinpose.core import AlignmentError, Camera, Matrix, UndeterminedError, apply, unknown_name
 from cabinpose.signals import Delay, DelaySearch, angular_velocity, estimate_delay, kabsch, resample_positions, rotation_angle
 
 F64 = NDArray[np.float64]
+TISSUE_S = 7e-4  # half of a 95 % interval: what soft tissue does to the suit's delay in `cabinpose bench lab`
+VAGUE_S = 0.01  # a suit's delay that is known no better is refused
 RotationSignal = Literal["velocity", "speed", "angle"]
 
 
@@ -90,6 +92,33 @@ def tof_to_optical(
     size = np.array((camera.width, camera.height))
     expected[~((expected > -0.1 * size) & (expected < 1.1 * size)).all(axis=1)] = np.nan
     return estimate_delay(time_tof_s, seen, time_optical_s, expected, search)
+
+
+def resolution_s(*stamps_ns: NDArray[np.int64]) -> float:
+    """The resolutions of clocks, from their stamps (T,), added as independent errors are, s."""
+    steps = [float(np.gcd.reduce(np.diff(each))) if len(each) > 1 else 0.0 for each in stamps_ns]
+    return float(np.hypot.reduce(np.array([*steps, 0.0]))) / 1e9
+
+
+def widened(delay: Delay, resolution: float = 0.0) -> Delay:
+    """The delay of a suit with what does not average out over a take in its interval.
+
+    Stamps may be rounded or cut off, which moves all of them by up to half the clocks' `resolution` (s), either way: 95 % of a
+    uniform error. Skin and muscle move a sensor with the turn's rate, each sensor in its own way, all take long: `TISSUE_S`.
+    """
+    half = 0.5 * (delay.interval_s[1] - delay.interval_s[0])
+    half = float(np.sqrt(half**2 + (0.95 * 0.5 * resolution) ** 2 + TISSUE_S**2))
+    return replace(delay, interval_s=(delay.offset_s - half, delay.offset_s + half))
+
+
+def refuse_vague(delay: Delay) -> None:
+    """Raises UndeterminedError for an interval that is wider than a rig can use."""
+    half = 0.5 * (delay.interval_s[1] - delay.interval_s[0])
+    if half > VAGUE_S:
+        raise UndeterminedError(
+            f"the delay is known to ±{1000 * half:.1f} ms only; ±{1000 * VAGUE_S:g} ms are allowed, in which a hand moves 1 cm",
+            hint="record longer (30 s), and turn the head more, about all of its axes",
+        )
 
 
 def _longest_pause(time_s: F64) -> float:
