@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +57,7 @@ def test_what_adtf_recorded_is_aligned_within_two_centimetres(tmp_path: Path, ru
     write_predictions(tmp_path / "truth.jsonl", told)
     done = run("evaluate", tmp_path / "data", "--predictions", tmp_path / "truth.jsonl", "--json")
     assert done.code == 0, done.err
-    rows = json.loads(done.out)["results"]
-    (told_cm,) = [row["value"] for row in rows if (row["metric"], row["space"], row["joints"]) == ("MPJPE", "3d", "all")]
+    rows = json.loads(done.out)["models"][0]["values"]
+    told_cm, *_ = [row["value"] for row in rows if (row["metric"], row["space"], row["joints"]) == ("MPJPE", "3d", "All")]
     assert told_cm == pytest.approx(error_cm.mean(), rel=0.2)  # `evaluate` counts joints in the image
     assert told_cm < 2.0
