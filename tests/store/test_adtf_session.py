@@ -52,7 +52,9 @@ def test_what_adtf_recorded_is_aligned_within_two_centimetres(tmp_path: Path, ru
     assert error_cm.mean() < 2.0
     xyz = np.full((len(found), len(persons), len(JOINTS), 3), np.nan, np.float32)
     xyz[:, place] = truth.joints_3d[first + frames]
-    batch = replace(empty_batch(len(found), len(persons), len(JOINTS)), joints_3d=xyz)
+    batch = replace(
+        empty_batch(len(found), len(persons), len(JOINTS)), joints_3d=xyz, presence=np.isfinite(xyz[..., 0]).astype(np.float32)
+    )
     told = Predictions(**vars(batch), frame=np.arange(len(found)), persons=persons, joints=JOINTS, model="truth")
     write_predictions(tmp_path / "truth.jsonl", told)
     done = run("evaluate", tmp_path / "data", "--predictions", tmp_path / "truth.jsonl", "--json")

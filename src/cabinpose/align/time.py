@@ -95,8 +95,12 @@ def tof_to_optical(
 
 
 def resolution_s(*stamps_ns: NDArray[np.int64]) -> float:
-    """The resolutions of clocks, from their stamps (T,), added as independent errors are, s."""
-    steps = [float(np.gcd.reduce(np.diff(each))) if len(each) > 1 else 0.0 for each in stamps_ns]
+    """The resolutions of clocks, from their stamps (T,), added as independent errors are, s.
+
+    Stamps that stand whole periods apart are counted, not rounded: they tell no resolution.
+    """
+    pauses = [np.diff(each) for each in stamps_ns if len(each) > 1]
+    steps = [float(step) for each in pauses if (step := np.gcd.reduce(each)) < each.min()]
     return float(np.hypot.reduce(np.array([*steps, 0.0]))) / 1e9
 
 
