@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from cabinpose.align.calibration import Calibration, Head, Intrinsics, KnownDelay, rows
 from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import REASONS, align_take, with_known
+from cabinpose.align.time import TISSUE_S
 from cabinpose.app.report.heads import write_head_page
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility
@@ -102,14 +104,20 @@ def test_what_cannot_be_aligned_is_refused(tmp_path: Path, take) -> None:
 
 
 def test_a_known_delay_sharpens_a_wide_one_and_leaves_a_contradiction_alone(take) -> None:
-    measured = aligned(take[0]).delay
-    half = 0.5 * (measured.interval_s[1] - measured.interval_s[0])
+    exact = aligned(take[0]).delay
+    half = 0.004
+    measured = replace(exact, interval_s=(exact.offset_s - half, exact.offset_s + half))
     same = KnownDelay(
         offset_s=measured.offset_s + 0.5 * half, interval_s=(measured.offset_s - 0.5 * half, measured.offset_s + 1.5 * half)
     )
     joined = with_known(measured, same)
     assert joined.offset_s == pytest.approx(measured.offset_s + 0.25 * half)
     assert joined.interval_s[1] - joined.interval_s[0] == pytest.approx(np.sqrt(2) * half)
+    # without noise, what both takes have in common is left, and two takes do not halve it
+    low, high = exact.interval_s
+    assert 0.5 * (high - low) == pytest.approx(TISSUE_S, rel=0.05)
+    shared = with_known(exact, KnownDelay(offset_s=exact.offset_s, interval_s=exact.interval_s)).interval_s
+    assert 0.5 * (shared[1] - shared[0]) == pytest.approx(TISSUE_S, rel=0.05)
     other = KnownDelay(offset_s=measured.offset_s + 1.0, interval_s=(measured.offset_s + 0.999, measured.offset_s + 1.001))
     assert with_known(measured, other) is measured
     assert with_known(measured, None) is measured
