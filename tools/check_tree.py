@@ -34,7 +34,7 @@ STRUCTURE = {
     "modules under 25 lines of code, with C++": 65,
     "import circles": 0,
     "names of classes that stand twice": 30,
-    "lines of code in src and benchmarks": 55_200,
+    "lines of code in src and benchmarks": 55_330,
 }
 _SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 MAX_BYTES = 10_000_000
