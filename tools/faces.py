@@ -35,7 +35,9 @@ def faces(source: Path = SOURCE) -> dict[str, dict[str, str]]:
         if face != NATIVE:
             tree = ast.parse(stub.read_text(encoding="utf-8"), str(stub))
             lines = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-            found[face] = {alias.asname or alias.name: f"{face}.{line.module}" for line in lines for alias in line.names}
+            # `from . import module as module` offers a module whole.
+            pairs = [(line.module, alias.name) for line in lines for alias in line.names]
+            found[face] = {name: f"{face}.{module or name}" for module, name in pairs}
     return found
 
 

@@ -58,7 +58,7 @@ def test_labels_are_in_one_piece() -> None:
     """Each part is one patch of skin (scraps of a few faces aside)."""
     rest = BodyModel.load().person(Phenotype()).rest_skin
     cut = cut_skin()
-    mesh = trimesh.Trimesh(np.concatenate([rest, cut.blend @ rest]), cut.faces, process=False)
+    mesh = trimesh.Trimesh(np.concatenate([rest, cut.blend.of(rest)]), cut.faces, process=False)
     label = cut.label
     for value in np.unique(label):
         part = label == value
@@ -72,7 +72,7 @@ def test_cutting_keeps_the_skin() -> None:
     body = BodyModel.load().person(Phenotype())
     cut = cut_skin()
     whole = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)
-    mesh = trimesh.Trimesh(np.concatenate([body.rest_skin, cut.blend @ body.rest_skin]), cut.faces, process=False)
+    mesh = trimesh.Trimesh(np.concatenate([body.rest_skin, cut.blend.of(body.rest_skin)]), cut.faces, process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume == pytest.approx(whole.volume, rel=1e-6)
@@ -99,7 +99,7 @@ def under(outfit: Outfit) -> np.ndarray:
     """(V + N,) bool: seen vertices that cloth covers."""
     fields = [borders()[name] for name in (outfit.top, outfit.bottom)]
     field = np.max(fields, axis=0)
-    return np.concatenate([field, cut_skin().blend @ field]) > 0
+    return np.concatenate([field, cut_skin().blend.of(field)]) > 0
 
 
 @pytest.mark.parametrize("name", ["S01", "S02", "S04", "S05", "S08", "S10", "S11", "S12", "S14"])
@@ -200,7 +200,7 @@ def test_borders_of_materials_run_smoothly(name: str) -> None:
     """Nearly all of a border's edges lie on the line where its field is 0, not along the mesh as it was."""
     cut, field = cut_skin(), borders()[name]
     edge = field + garments.HEM_M if name in ("t_shirt", "cap") else field
-    value = np.concatenate([edge, cut.blend @ edge])
+    value = np.concatenate([edge, cut.blend.of(edge)])
     pairs = np.sort(np.stack([cut.faces, np.roll(cut.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     inside = np.repeat(cut.inside[name], 3)
     key = pairs[:, 0].astype(np.int64) * len(value) + pairs[:, 1]

@@ -166,3 +166,30 @@ def test_imports_through_a_face_and_of_the_own_room_are_none(check_tree: ModuleT
 def test_the_packages_own_face_is_of_app(check_tree: ModuleType) -> None:
     line = "from cabinpose.app.cli import main"
     assert list(check_tree.face_breaches("src/cabinpose/__main__.py", line, OFFERED)) == []
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["a @ b", "x ** 3", "x ** 0.5", "np.sin(x)", "math.atan2(y, x)", "np.linalg.inv(a)", "np.linalg.norm(a)", "np.argsort(a)",
+     "np.partition(a, 3)", "np.arccos(x)", "np.log10(x)"],
+)  # fmt: skip
+def test_what_differs_between_processors_is_found_where_datasets_are_made(check_tree: ModuleType, code: str) -> None:
+    assert len(list(check_tree.arithmetic_breaches("src/cabinpose/synth/a.py", code))) == 1
+    assert not list(check_tree.arithmetic_breaches("src/cabinpose/estimate/a.py", code))
+    assert not list(check_tree.arithmetic_breaches("src/cabinpose/core/reproducible.py", code))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "x**2",
+        "2**63",
+        "rp.sin(x)",
+        "np.linalg.norm(a, axis=1)",
+        "np.argsort(a, kind='stable')",
+        "np.sqrt(x)",
+        "np.logical_not(x)",
+    ],
+)
+def test_what_is_the_same_everywhere_is_not(check_tree: ModuleType, code: str) -> None:
+    assert not list(check_tree.arithmetic_breaches("src/cabinpose/scene/a.py", code))

@@ -1,3 +1,4 @@
+from . import reproducible as reproducible
 from .archives import check_archive as check_archive
 from .archives import check_claim as check_claim
 from .archives import read_arrays as read_arrays

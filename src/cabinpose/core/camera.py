@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cabinpose._native import core as native
+from cabinpose.core import reproducible as rp
 from cabinpose.core.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ class Camera:
         a third of where it would be without, and takes none farther than eight times that.
         """
         size, size_text = (self.width, self.height), f"{self.width}x{self.height} image"
-        fov = [2 * math.degrees(math.atan(n / (2 * f))) for n, f in zip(size, (self.fx, self.fy), strict=True)]
+        fov = [2 * math.degrees(rp.arctan(n / (2 * f))) for n, f in zip(size, (self.fx, self.fy), strict=True)]
         if max(fov) < _NARROWEST_DEG or max(fov) > _WIDEST_DEG:
             raise ConfigError(
                 f"{whose}: fx {self.fx:g} px, fy {self.fy:g} px are a field of view of {fov[0]:.3g} x {fov[1]:.3g} degrees",
@@ -103,8 +104,8 @@ class Camera:
 
         The field of view is that of the undistorted pinhole, edge to edge of the image.
         """
-        fx = width / 2 / np.tan(horizontal_fov / 2)
-        fy = fx if vertical_fov is None else height / 2 / np.tan(vertical_fov / 2)
+        fx = width / 2 / rp.tan(horizontal_fov / 2)
+        fy = fx if vertical_fov is None else height / 2 / rp.tan(vertical_fov / 2)
         return cls(width, height, float(fx), float(fy), (width - 1) / 2, (height - 1) / 2, dist)
 
     @property

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cabinpose.core import FORWARD_FROM_CAMERA, Floats, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import labels, materials
 from cabinpose.scene.surface import Surface, merge
 
@@ -79,7 +80,7 @@ def _pot(radius: float, height: float) -> Floats:
     """Triangles (F, 3, 3) of a cylinder that stands upright on the origin."""
     sides = 12
     angle = 2 * np.pi * np.arange(sides) / sides
-    low = np.stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides)), axis=1)
+    low = np.stack((radius * rp.cos(angle), radius * rp.sin(angle), np.zeros(sides)), axis=1)
     high = low + (0.0, 0.0, height)
     next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
     bottom, top = (np.broadcast_to((0.0, 0.0, z), low.shape) for z in (0.0, height))
@@ -100,7 +101,7 @@ def _curtain(x: Interval, y: float, height: float, depth: float, folds: float, p
     """A hanging cloth along x at `y`, with `folds` waves a metre of `depth` metres."""
     columns = max(int((x[1] - x[0]) * folds * 8), 8)
     along = np.linspace(*x, columns + 1)
-    wave = y + depth * (np.sin(2 * np.pi * folds * along + phase) + 0.4 * np.sin(5.1 * folds * along + 2 * phase))
+    wave = y + depth * (rp.sin(2 * np.pi * folds * along + phase) + 0.4 * rp.sin(5.1 * folds * along + 2 * phase))
     low = np.stack((along, wave, np.zeros_like(along)), axis=1)
     high = np.stack((along, wave, np.full_like(along, height)), axis=1)
     vertices = np.concatenate((low, high))
@@ -239,5 +240,5 @@ def place_room_camera(view: str, room: Room, *, rng: np.random.Generator) -> tup
         eye = np.array((0.0, rng.normal(0, 0.05), rng.uniform(1.1, 1.6)))
         pitch = np.radians(rng.uniform(-2.0, 6.0))
     # A positive turn about y (left) looks down.
-    turn = axis_rotation("z", yaw) @ axis_rotation("y", pitch) @ axis_rotation("x", roll)
-    return transform(turn @ FORWARD_FROM_CAMERA, eye), spot
+    turn = rp.matmul(axis_rotation("z", yaw), axis_rotation("y", pitch), axis_rotation("x", roll))
+    return transform(rp.matmul(turn, FORWARD_FROM_CAMERA), eye), spot

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cabinpose.core import Bytes, Floats32, Ints32, Matrix
+from cabinpose.core import reproducible as rp
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Surface:
         """The surface in frame a, rigidly moved."""
         r = a_from_b[:3, :3].astype(np.float32)
         t = a_from_b[:3, 3].astype(np.float32)
-        return replace(self, vertices=self.vertices @ r.T + t, normals=self.normals @ r.T)
+        return replace(self, vertices=rp.matmul(self.vertices, r.T) + t, normals=rp.matmul(self.normals, r.T))
 
 
 def merge(surfaces: Sequence[Surface]) -> Surface:

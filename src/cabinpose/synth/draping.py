@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cabinpose.core import Camera, Floats, Matrix, invert, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting, Solid, slab
@@ -33,7 +34,9 @@ def seen_from_above(surface: Surface, vehicle_from_cloth: Matrix) -> Floats:
     """(CELLS, CELLS) m: how high a surface reaches over the x-y plane of a frame, by x and y; -inf where nothing is."""
     camera = Camera(CELLS, CELLS, _AWAY_M / CELL_M, _AWAY_M / CELL_M, 0.5 * (CELLS - 1), 0.5 * (CELLS - 1))
     turn = np.diag((1.0, -1.0, -1.0))
-    seen = Rasteriser(camera, 1).render(surface, invert(vehicle_from_cloth @ transform(turn, (_MIDDLE_M, 0.0, _AWAY_M))))
+    seen = Rasteriser(camera, 1).render(
+        surface, invert(rp.matmul(vehicle_from_cloth, transform(turn, (_MIDDLE_M, 0.0, _AWAY_M))))
+    )
     depth = seen.depth_clean.T[:, ::-1].astype(np.float64)
     return np.where(depth > 0.0, _AWAY_M - depth, -np.inf)
 
@@ -90,7 +93,7 @@ def draped(
     def cloth(x0: float, x1: float, left: float, right: float, slant: float = 0.0, above: float = 0.0) -> Solid:
         """A piece from x0 to x1 between two sides (y, m); slant: how far it is moved to the left at its end; above: another."""
         s, t = np.meshgrid(np.linspace(0.0, 1.0, 24), np.linspace(0.0, 1.0, 28), indexing="ij")
-        wave = 0.012 * np.sin(9.0 * s + 7.0 * t + phase)
+        wave = 0.012 * rp.sin(9.0 * s + 7.0 * t + phase)
         px = x0 + s * (x1 - x0) + wave * (t - 0.5)
         py = left + t * (right - left) + slant * s + wave * (0.5 - np.abs(s - 0.5))
         row, column = ((p - axis[0]) / CELL_M for p, axis in ((px, x), (py, y)))
@@ -99,7 +102,7 @@ def draped(
             for f in (np.floor, np.ceil)
             for g in (np.floor, np.ceil)
         ]
-        folds = sum(_FOLD_M * (1.0 + np.sin(a * px + b * py + phase + k)) for k, (a, b) in enumerate(_FOLDS))
+        folds = sum(_FOLD_M * (1.0 + rp.sin(a * px + b * py + phase + k)) for k, (a, b) in enumerate(_FOLDS))
         low = np.max(corners, axis=0) + folds + above
         return slab(*(np.stack((px, py, low + up), axis=-1) for up in (0.0, thick))).outward()
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS
 from cabinpose.scene.cabin import STATIC_GROUP
 from cabinpose.scene.contact import first_crossings
@@ -50,17 +51,17 @@ def gaze_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
 def line_of_sight(head: Floats, heading: float) -> Floats:
     """(3,) where somebody looks whose head has the rotation (3, 3), and who faces `heading` (rad, + left) when looking ahead."""
     face = head[:, 0]
-    yaw = (math.atan2(face[1], face[0]) - heading + math.pi) % (2.0 * math.pi) - math.pi
-    pitch = math.asin(min(max(float(face[2]), -1.0), 1.0))
+    yaw = (rp.arctan2(face[1], face[0]) - heading + math.pi) % (2.0 * math.pi) - math.pi
+    pitch = rp.arcsin(min(max(float(face[2]), -1.0), 1.0))
     yaw, pitch = heading + yaw / HEAD_SHARE[0], min(max(pitch / HEAD_SHARE[1], -math.pi / 2), math.pi / 2)
-    return np.array((math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)))
+    return np.array((rp.cos(yaw) * rp.cos(pitch), rp.sin(yaw) * rp.cos(pitch), rp.sin(pitch)))
 
 
 def _heading(scene: Scene, person: ScenePerson) -> float:
     if scene.cabin is not None:
         return scene.cabin.seats[person.slot].facing_yaw
     ahead = person.posed.vehicle_from_root[:3, 0]
-    return math.atan2(ahead[1], ahead[0])
+    return rp.arctan2(ahead[1], ahead[0])
 
 
 def _target(scene: Scene, person: ScenePerson, gaze: Floats) -> str:
@@ -74,7 +75,7 @@ def _target(scene: Scene, person: ScenePerson, gaze: Floats) -> str:
     candidates += [(p.slot, p, p.person.skin_faces) for p in scene.people if p is not person]
     for label, whose, faces in candidates:
         off = whose.posed.joints - eyes
-        ahead = np.maximum(off @ gaze, 0.0)
+        ahead = np.maximum(rp.matmul(off, gaze), 0.0)
         if float(np.linalg.norm(off - ahead[:, None] * gaze, axis=1).min()) < _BODY_M:
             away, which = _met(eyes, gaze, whose.posed.skin, faces)
             if which >= 0 and away < nearest:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from cabinpose._native import core as native
 from cabinpose.core import ConfigError, Floats, Ints, MocapError, axis_rotation, unknown_name
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, DOFS, LOWER, UPPER
 
 if TYPE_CHECKING:
@@ -318,8 +319,8 @@ class MocapProfile(_Profile):
         """Pose `index` of the recording, from its start again after its end; headings count from the first pose's."""
         motion, _, _ = self._motion
         frame = self._frame(index)
-        heading = np.arctan2(motion.root[self._first, 1, 0], motion.root[self._first, 0, 0])
-        return Recorded(motion.q[frame].copy(), axis_rotation("z", -heading) @ motion.root[frame])
+        heading = rp.arctan2(motion.root[self._first, 1, 0], motion.root[self._first, 0, 0])
+        return Recorded(motion.q[frame].copy(), rp.matmul(axis_rotation("z", -heading), motion.root[frame]))
 
     @property
     def _motion(self) -> tuple[RetargetedMotion, float, Floats]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cabinpose.core import STANDING_SLOT, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import ROOM_VIEWS, place_room_camera
 from cabinpose.synth.config import RoomScene, SynthConfig
 from cabinpose.synth.plan import Plan
@@ -34,11 +35,11 @@ class RoomScenes:
         view = weighted(self._views, rng=rng)
         camera, spot = place_room_camera(view, room, rng=rng)
         # People face the camera of the view `room`, which in its other views stands for whatever they look at.
-        heading = np.arctan2(-spot[1], -spot[0]) + np.radians(self._scene.facing_deg) * rng.standard_normal()
+        heading = rp.arctan2(-spot[1], -spot[0]) + np.radians(self._scene.facing_deg) * rng.standard_normal()
         for _ in range(self._limits.poses_per_person):
             attempts.proposals += 1
             pose = sample_standing(person, self._scene.profile, index=index, rng=rng)
-            world_from_root = transform(axis_rotation("z", heading), spot) @ pose.floor_from_root
+            world_from_root = rp.matmul(transform(axis_rotation("z", heading), spot), pose.floor_from_root)
             posed = person.pose(pose.q, world_from_root)
             verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
             attempts.judge(verdict.rejection)

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from cabinpose.core import CABINPOSE, Floats, apply, invert
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import SEGMENTS, SUBJECTS, BodyModel, Person, PosedBody
 from cabinpose.scene.cabin import BACK_BOX, CUSHION_BOX, WHEEL_GROUP, Cabin, Seat, SeatSetting
 from cabinpose.scene.contact import first_crossings
@@ -81,7 +82,7 @@ def _try(trial: SeatTrial, person: Person, cabin: Cabin, seat: Seat, validator: 
         trial.where.append(verdict.where)
     elif pose.refused:
         refused = Rejection("reach", seat.slot, pose.refused, pose.held_up_by)
-    off = float(np.linalg.norm(pose.vehicle_from_root[:3, 3] - sits[:3, 3]))
+    off = rp.norm(pose.vehicle_from_root[:3, 3] - sits[:3, 3])
     if refused is None:
         trial.held += 1
         trial.off_m.append(off)
@@ -111,7 +112,7 @@ def _measure(
         if part.group == WHEEL_GROUP:
             continue
         felt = ends + part.shell_m * outward  # an open surface is met before it is crossed
-        corners = apply(seat_from_vehicle @ transforms[part.group], part.surface.vertices)[part.surface.faces]
+        corners = apply(rp.matmul(seat_from_vehicle, transforms[part.group]), part.surface.vertices)[part.surface.faces]
         for side, box in SEAT_BOXES.items():
             middle = corners.mean(axis=1)
             near = corners[((middle > box[0]) & (middle < box[1])).all(axis=1)]
@@ -136,7 +137,7 @@ def _from_bone_to_skin(person: Person, posed: PosedBody) -> tuple[Floats, Floats
     for name, (one, other) in bones.items():
         skin = posed.skin[person.skin_segment == SEGMENTS.index(name)][::_SKIN_STEP].astype(np.float64)
         along = other - one
-        share = np.clip((skin - one) @ along / (along @ along), 0.0, 1.0)
+        share = np.clip(rp.matmul(skin - one, along) / (rp.matmul(along, along)), 0.0, 1.0)
         starts.append(one + share[:, None] * along)
         ends.append(skin)
     return np.concatenate(starts), np.concatenate(ends)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Matrix, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, UPPER, Person
 from cabinpose.synth.posture.feet import GROUND_M
 from cabinpose.synth.posture.frames import frames
@@ -195,16 +196,16 @@ def _stand(person: Person, q: Floats, stance: Stance, rng: np.random.Generator) 
     if lifted >= 0:
         shift = (1.0 if lifted == 1 else -1.0) * hips_half * 0.8  # over the foot that stands
     yaw, pitch, roll = np.radians([_normal((0.0, 7.0), rng), _normal(stance.pitch, rng), _normal((0.0, 2.0), rng)]).tolist()
-    turn = axis_rotation("z", yaw) @ axis_rotation("y", pitch) @ axis_rotation("x", roll)
-    hips = np.stack([person.rest.offsets[_THIGH_BONES[side]] for side in (0, 1)]) @ turn.T + (0.0, shift, 0.0)
+    turn = rp.matmul(axis_rotation("z", yaw), axis_rotation("y", pitch), axis_rotation("x", roll))
+    hips = rp.matmul(np.stack([person.rest.offsets[_THIGH_BONES[side]] for side in (0, 1)]), turn.T) + (0.0, shift, 0.0)
     targets, height = [], np.inf
     for side in (0, 1):
         s = 1.0 - 2.0 * side
         toe_out = axis_rotation("z", s * math.radians(_normal((9.0, 6.0), rng)))
         place = np.array([s * 0.5 * stagger, s * (hips_half + width), GROUND_M])
         target = transform(toe_out, place + float(soles[side, 0, 3]) * toe_out[:, 0])
-        ankle = target[:3, 3] - toe_out @ soles[side, :3, 3]
-        aside = float(np.hypot(*(ankle - hips[side])[:2]))
+        ankle = target[:3, 3] - rp.matmul(toe_out, soles[side, :3, 3])
+        aside = float(rp.hypot(*(ankle - hips[side])[:2]))
         if side != lifted:
             height = min(height, ankle[2] + math.sqrt(max(leg * leg - aside * aside, 0.01)) - hips[side, 2])
         targets.append(target)

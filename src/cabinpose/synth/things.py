@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 
 from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, ConfigError, Matrix, axis_rotation, invert, transform, unknown_name
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
@@ -216,7 +217,7 @@ class SeatThings:
         seat, setting = self._cabin.seats[slot], SeatSetting(torso_angle=torso_angle)
         placed = self._contact.at({slot: setting})
         at = stand_on_seat(make_thing(kind, variant), seat, setting, placed, LEANING, PRESSED_M)
-        return invert(seat.vehicle_from_seat(setting)) @ at
+        return rp.matmul(invert(seat.vehicle_from_seat(setting)), at)
 
     def place(
         self, brought: Brought, taken: Sequence[str], settings: dict[str, SeatSetting], *, rng: np.random.Generator
@@ -261,7 +262,7 @@ class SeatThings:
         blocked = Blocked(slot, kind, Obstacle("", 0.0))
         seat, around = self._cabin.seats[slot], [other.group() for other in others]
         for variant in rng.permutation(VARIANTS).tolist():
-            at = seat.vehicle_from_seat(settings[slot]) @ self._settled(slot, kind, variant, settings[slot].torso_angle)
+            at = rp.matmul(seat.vehicle_from_seat(settings[slot]), self._settled(slot, kind, variant, settings[slot].torso_angle))
             thing = PlacedThing(make_thing(kind, variant), at, slot, "seat")
             for change in self._front_seats(slot, taken, settings):
                 obstacle = in_the_way(thing, self._contact.at({**settings, **change}).with_groups(around), PRESSED_M)
@@ -326,7 +327,9 @@ def bring_along(
         lap, length = lap_frame(posed)
         ahead = rng.uniform(0.42, 0.60) * length - float(thing.box[0, 0]) + _FARTHER_M * number
         turn = axis_rotation("z", math.radians(8.0) * rng.standard_normal())
-        lies = stand_on_lap(thing, lap @ transform(turn, (ahead, rng.uniform(-0.03, 0.03), 0.0)), seated.bodies[-1].solids)
+        lies = stand_on_lap(
+            thing, rp.matmul(lap, transform(turn, (ahead, rng.uniform(-0.03, 0.03), 0.0))), seated.bodies[-1].solids
+        )
         if lies is None:
             refused = refused or Rejection("thing", slot, kind, "torso")
             continue
@@ -342,10 +345,10 @@ def lap_frame(posed: PosedBody) -> tuple[Matrix, float]:
     at = {name: posed.joints[CABINPOSE.index[name]] for name in ("lpelvis", "rpelvis", "lknee", "rknee")}
     hips = 0.5 * (at["lpelvis"] + at["rpelvis"])
     to_knees = 0.5 * (at["lknee"] + at["rknee"]) - hips
-    length = float(np.linalg.norm(to_knees))
+    length = rp.norm(to_knees)
     x = to_knees / length
     up = np.cross(x, at["lknee"] - at["rknee"] + at["lpelvis"] - at["rpelvis"])
-    up /= np.linalg.norm(up)
+    up /= rp.norm(up)
     return transform(np.column_stack((x, np.cross(up, x), up)), hips), length
 
 
@@ -353,7 +356,7 @@ def stand_on_lap(thing: Thing, vehicle_from_lap: Matrix, body: PosedSolids) -> M
     """vehicle_from_thing of a thing that is let down along the lap's z onto thighs, hands, arms; None where a trunk stops it."""
 
     def at(z: float) -> Matrix:
-        return np.asarray(vehicle_from_lap @ transform(None, (0.0, 0.0, z)))
+        return np.asarray(rp.matmul(vehicle_from_lap, transform(None, (0.0, 0.0, z))))
 
     def alone(z: float) -> PlacedField:
         return NOTHING_PLACED.with_groups([PlacedThing(thing, at(z), "", "lap").group()])
@@ -375,4 +378,6 @@ def _somewhere(thing: Thing, rng: np.random.Generator) -> Spot:
     ahead = 0.0 if how == "leans" or chance < 0.4 else max(_CUSHION_M - length_m, 0.02) * rng.uniform(0.3, 1.0)
     spread = math.radians(12.0 if how == "leans" else 25.0)
     yaw = spread * turn + (0.0 if how == "leans" else math.pi / 2.0 * int(rng.integers(4)))
-    return Spot(ahead, aside, axis_rotation("z", yaw) @ (axis_rotation("x", math.pi / 2.0) if how == "lies" else np.eye(3)))
+    return Spot(
+        ahead, aside, rp.matmul(axis_rotation("z", yaw), axis_rotation("x", math.pi / 2.0) if how == "lies" else np.eye(3))
+    )

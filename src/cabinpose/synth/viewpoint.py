@@ -10,6 +10,7 @@ import numpy as np
 
 from cabinpose._native import cabin as native
 from cabinpose.core import Matrix, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin import Cabin
 from cabinpose.scene.sensor import jittered, place_camera
 from cabinpose.synth.camera import Camera, CameraPose, ExactCameraPose
@@ -45,7 +46,7 @@ def draw_viewpoint(camera: Camera, cabin: Cabin, view: str | None = None, *, rng
         return Viewpoint(name, jittered(np.array(own.vehicle_from_camera), **jitter, rng=rng))
     if isinstance(own, CameraPose):
         upright = place_camera(own.position_m, own.look_at_m, rng=rng)
-        rolled = upright @ transform(axis_rotation("z", math.radians(own.roll_deg)))
+        rolled = rp.matmul(upright, transform(axis_rotation("z", math.radians(own.roll_deg))))
         return Viewpoint(name, jittered(rolled, **jitter, rng=rng))
     anchor = cabin.view(name)
     return Viewpoint(name, place_camera(anchor.eye, anchor.target, **jitter, rng=rng))

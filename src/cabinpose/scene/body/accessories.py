@@ -12,6 +12,7 @@ import numpy as np
 
 from cabinpose._native import body
 from cabinpose.core import Bools, Bytes, Floats, Ints, Ints32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import borders, cap_rim_m
@@ -115,7 +116,7 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     bone = BONE_INDEX[side + "foot"]
     frame, origin = rest.frames[bone], rest.heads[bone]
     leg = skin[_leg()]
-    local = (leg[leg[:, 1] * s > 0] - origin) @ frame
+    local = rp.matmul(leg[leg[:, 1] * s > 0] - origin, frame)
     foot = local[local[:, 2] < -0.005]
     floor = foot[:, 2].min()
     back, front = foot[:, 0].min() - HEEL_BACK_M, foot[:, 0].max() + 0.012
@@ -126,8 +127,8 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     for k, at in enumerate(np.clip(x, foot[:, 0].min() + 0.01, foot[:, 0].max() - 0.012)):
         near = foot[np.abs(foot[:, 0] - at) < 0.018]
         low[k], high[k], top[k] = near[:, 1].min(), near[:, 1].max(), near[:, 2].max()
-    round_off = np.sqrt(np.clip(1 - np.clip((t - 0.72) / 0.28, 0, 1) ** 2.4, 0, 1)) * np.sqrt(
-        np.clip(1 - np.clip((0.16 - t) / 0.16, 0, 1) ** 2.4, 0, 1)
+    round_off = np.sqrt(np.clip(1 - rp.power(np.clip((t - 0.72) / 0.28, 0, 1), 2.4), 0, 1)) * np.sqrt(
+        np.clip(1 - rp.power(np.clip((0.16 - t) / 0.16, 0, 1), 2.4), 0, 1)
     )
     middle = np.interp(t, t, (low + high) / 2)
     half = np.maximum((high - low) / 2 + 0.007, 0.3 * (high - low).max()) * np.maximum(round_off, 0.35)
@@ -148,7 +149,7 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     vertices, faces = _tube(sections)
     material = "synthetic_fabric" if kind == "trainers" else "leather_shoe"
     part = "foot_left" if side == "l" else "foot_right"
-    made = _rigid(vertices @ frame.T + origin, _outward(vertices, faces), side + "foot", part, material)
+    made = _rigid(rp.matmul(vertices, frame.T) + origin, _outward(vertices, faces), side + "foot", part, material)
     sole = vertices[faces][:, :, 2].max(axis=1) < bottom.max() + 0.012
     return Accessory(
         made.vertices, made.faces, made.bones, made.weights, made.label,
@@ -170,7 +171,7 @@ def bun(skin: Floats, eyes: Floats, *, cap: bool) -> Accessory:
     head = skin[load_chart().head > 0.9] - eyes
     back = head[(np.abs(head[:, 1]) < 0.02) & (np.abs(head[:, 2] - height) < 0.015)][:, 0].min()
     u, v = np.linspace(0.15, np.pi - 0.15, 8), np.linspace(0, 2 * np.pi, 14, endpoint=False)
-    shape = np.stack([np.sin(u)[:, None] * np.cos(v), np.sin(u)[:, None] * np.sin(v), np.cos(u)[:, None] * np.ones(14)], axis=2)
+    shape = np.stack([rp.sin(u)[:, None] * rp.cos(v), rp.sin(u)[:, None] * rp.sin(v), rp.cos(u)[:, None] * np.ones(14)], axis=2)
     vertices, faces = _tube(shape * radius * (0.8, 1.1, 1.0) + eyes + (back - 0.5 * radius, 0.0, height))
     return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "hair", "hair")
 
@@ -184,26 +185,26 @@ def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Acce
     middle_x, size = back * 0.5, top / 0.116
     columns, rows = 30, 14
     angle = np.linspace(np.radians(64), np.radians(296), columns)
-    behind = np.sin(np.linspace(0, np.pi, columns)) ** 2
+    behind = rp.sin(np.linspace(0, np.pi, columns)) ** 2
     drop = np.linspace(0, 1, rows)[:, None]
-    ends = neck[2] - eyes[2] - 0.03 - 0.07 * behind + 0.012 * np.sin(5.3 * angle) * np.sin(2.1 * angle + 1.0)
-    begins = size * cap_rim_m((middle_x + half * np.cos(angle)) / size) if cap else np.full(columns, 0.45 * top)
+    ends = neck[2] - eyes[2] - 0.03 - 0.07 * behind + 0.012 * rp.sin(5.3 * angle) * rp.sin(2.1 * angle + 1.0)
+    begins = size * cap_rim_m((middle_x + half * rp.cos(angle)) / size) if cap else np.full(columns, 0.45 * top)
     z = begins + drop * (ends - begins)
     head = skin[(load_chart().head > 0.5) & (borders()["ears"] < 0)] - eyes - (middle_x, 0, 0)
     turn = np.broadcast_to((angle + np.pi) % (2 * np.pi) - np.pi, z.shape)
     radius = np.empty(len(head) + z.size)
     body.hang(
         down=np.concatenate([-head[:, 2], -z.ravel()]),
-        radius=np.concatenate([np.hypot(head[:, 0], head[:, 1]), np.zeros(z.size)]),
-        angle=np.concatenate([np.arctan2(head[:, 1], head[:, 0]), turn.ravel()]),
+        radius=np.concatenate([rp.hypot(head[:, 0], head[:, 1]), np.zeros(z.size)]),
+        angle=np.concatenate([rp.arctan2(head[:, 1], head[:, 0]), turn.ravel()]),
         narrowing=np.full(48, 0.12),
         out=radius,
     )
-    strands = 0.003 * np.sin(17 * angle + 2 * np.sin(5 * angle)) * drop
+    strands = 0.003 * rp.sin(17 * angle + 2 * rp.sin(5 * angle)) * drop
     outer = radius[len(head) :].reshape(z.shape) + 0.010 + 0.014 * np.minimum(4 * drop, 1) + strands
     thick = 0.004 + 0.022 * behind * np.minimum(4 * drop, 1)
     sheets = [
-        np.stack([middle_x + r * np.cos(angle) - 0.010 * drop, r * np.sin(angle), z], axis=2) + eyes
+        np.stack([middle_x + r * rp.cos(angle) - 0.010 * drop, r * rp.sin(angle), z], axis=2) + eyes
         for r in (outer, outer - thick)
     ]
     vertices, faces = _sheet(sheets[0], sheets[1])
@@ -242,7 +243,11 @@ def glasses(skin: Floats, eyes: Floats) -> list[Accessory]:
     lens_w, lens_h, centre = 0.025 * size, 0.019 * size, 0.032 * size
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     outline = np.stack(
-        [np.sign(np.cos(turn)) * np.abs(np.cos(turn)) ** 0.7, np.sign(np.sin(turn)) * np.abs(np.sin(turn)) ** 0.7], axis=1
+        [
+            np.sign(rp.cos(turn)) * rp.power(np.abs(rp.cos(turn)), 0.7),
+            np.sign(rp.sin(turn)) * rp.power(np.abs(rp.sin(turn)), 0.7),
+        ],
+        axis=1,
     )
     parts = []
     for s in (1.0, -1.0):
@@ -273,9 +278,9 @@ def _ring(rim: Floats, middle: Floats, grow: float, shift: float) -> Floats:
 
 def _bar(a: Floats, b: Floats, radius: float) -> Accessory:
     """A square bar from a to b."""
-    along = (b - a) / np.linalg.norm(b - a)
+    along = (b - a) / rp.norm(b - a)
     side = np.cross(along, (0.0, 0.0, 1.0))
-    side /= np.linalg.norm(side)
+    side /= rp.norm(side)
     up = np.cross(side, along)
     corners = [side + up, side - up, -side - up, -side + up]
     vertices, faces = _tube(np.array([[end + radius * k for k in corners] for end in (a, b)]))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Floats32, axis_rotation
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import along_chain, load_chart
 from cabinpose.scene.body.coverage import step
 
@@ -82,6 +83,6 @@ def _moved(points: _Points, at: Mapping[str, Floats], z: Floats) -> Floats:
     low, high = at["root"][2], at["neck01"][2]
     arms = np.sum([share for (_, limb), share in points.limbs.items() if limb == "arm"], axis=0)
     level = points.at[:, 2] + arms * (at["lupperarm01"][2] - points.at[:, 2])
-    out[:, 1] += _CURVE_M * z[7] * np.sin(np.pi * np.clip((level - low) / (high - low), 0.0, 1.0))
-    tilted = (out - at["neck01"]) @ axis_rotation("x", _TILT * z[8]).T + at["neck01"]
+    out[:, 1] += _CURVE_M * z[7] * rp.sin(np.pi * np.clip((level - low) / (high - low), 0.0, 1.0))
+    tilted = rp.matmul(out - at["neck01"], axis_rotation("x", _TILT * z[8]).T) + at["neck01"]
     return np.asarray(out + points.head[:, None] * (tilted - out))

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import Bytes, Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, SEGMENTS
 from cabinpose.scene.body.shape import load_shape_space
@@ -48,7 +49,7 @@ def along_chain(points: Floats, chain: list[Floats]) -> Floats:
     best = np.full(len(points), np.inf)
     result = np.zeros(len(points))
     for k, (a, b) in enumerate(itertools.pairwise(chain)):
-        t = (points - a) @ (b - a) / ((b - a) @ (b - a))
+        t = rp.matmul(points - a, b - a) / (rp.matmul(b - a, b - a))
         low = -np.inf if k == 0 else 0.0
         high = np.inf if k == len(chain) - 2 else 1.0
         t = np.clip(t, low, high)

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
 
 ARM_M, LEG_M, UP_M, NECK_M = 0.26, 0.42, 0.50, 0.08  # of a unit of the chart's coordinates, and of the neck's share
@@ -38,7 +39,7 @@ def step(x: Floats, edge: float, width: float) -> Floats:
 
 def bump(x: Floats, centre: float, width: float) -> Floats:
     """Bell curve of height 1."""
-    return np.asarray(np.exp(-(((x - centre) / width) ** 2)))
+    return np.asarray(rp.exp(-(((x - centre) / width) ** 2)))
 
 
 def _top(name: str) -> Floats:
@@ -75,7 +76,7 @@ def _ears() -> Floats:
 def _waver(scale: float) -> Floats:
     """A hairline is not a drawn line: smooth wavering, a few millimetres."""
     x, z, y = _face()
-    return np.asarray(scale * (np.sin(310 * y + 170 * z) + np.sin(240 * z - 190 * x + 1.0) + np.sin(150 * x + 260 * y + 2.0)))
+    return np.asarray(scale * (rp.sin(310 * y + 170 * z) + rp.sin(240 * z - 190 * x + 1.0) + rp.sin(150 * x + 260 * y + 2.0)))
 
 
 def _scalp(*, over_ears: bool) -> Floats:
@@ -103,7 +104,7 @@ def _beard() -> Floats:
     cheek = np.interp(x, (-0.075, -0.05, 0.0, 0.03), (-0.030, -0.055, -0.062, -0.050))
     jaw = np.minimum(np.minimum(cheek - z, x + 0.075), z + 0.135)
     sideburn = np.minimum(0.022 - 0.2 * (z + 0.06) - np.abs(x + 0.045), np.minimum(y - 0.052, 0.04 - np.abs(z + 0.02)))
-    mouth = 0.024 * (np.hypot(y / 0.024, (z + 0.0685) / 0.011) - 1)
+    mouth = 0.024 * (rp.hypot(y / 0.024, (z + 0.0685) / 0.011) - 1)
     mouth = np.where(x > 0.0, mouth, 0.1)
     hair = np.minimum(np.maximum(jaw, sideburn), mouth) + _waver(0.0008)
     return np.minimum(np.minimum(hair, (load_chart().head - 0.5) * NECK_M), -_ears())

@@ -13,6 +13,7 @@ import numpy as np
 
 from cabinpose._native import body
 from cabinpose.core import Bools, Floats, Floats32, Ints, Ints32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import Chart, load_chart
 from cabinpose.scene.body.coverage import ARM_M, LEG_M, bump, step
 from cabinpose.scene.body.parts import cut_skin
@@ -72,7 +73,7 @@ def seen_chart() -> Chart:
     c, blend = load_chart(), cut_skin().blend
 
     def extended(values: Floats) -> Floats:
-        return np.concatenate([values, blend @ values])
+        return np.concatenate([values, blend.of(values)])
 
     return Chart(
         extended(c.rest), extended(c.side), extended(c.arm), extended(c.leg), extended(c.neck), extended(c.head),
@@ -82,10 +83,10 @@ def seen_chart() -> Chart:
 
 def around(points: Floats, axis: Floats) -> Floats:
     """Angle (N,) rad of points (N, 3) about an axis (direction (3,)) through the origin, 0 at the front."""
-    axis = axis / np.linalg.norm(axis)
+    axis = axis / rp.norm(axis)
     front = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
-    front /= np.linalg.norm(front)
-    return np.asarray(np.arctan2(points @ np.cross(axis, front), points @ front))
+    front /= rp.norm(front)
+    return np.asarray(rp.arctan2(rp.matmul(points, np.cross(axis, front)), rp.matmul(points, front)))
 
 
 @cache
@@ -104,7 +105,7 @@ def _mirrored() -> tuple[Floats, Floats, Floats]:
 def front_of_thigh() -> Floats:
     """(V + N,) 1 where cloth is taut on who sits, falling off to the sides and to hip and knee."""
     c, (_, _, about_leg) = seen_chart(), _mirrored()
-    return np.asarray(c.leg * (0.5 + 0.5 * np.cos(about_leg)) * bump(c.along_leg, 0.6, 0.45))
+    return np.asarray(c.leg * (0.5 + 0.5 * rp.cos(about_leg)) * bump(c.along_leg, 0.6, 0.45))
 
 
 @cache
@@ -118,27 +119,27 @@ def _trains(*, top: bool) -> tuple[Floats, Floats]:
         armpit = c.heads["lupperarm01"] - (0.0, 0.02, 0.07)
         off = p - armpit
         down = step(-c.up, -0.62, 0.35)
-        arm, inner = c.arm, 0.6 + 0.4 * np.cos(about_arm)
-        taut = 1 - 0.9 * step(p[:, 0], 0.05, 0.06) * bump(np.hypot(p[:, 1] - _BREAST[0], p[:, 2] - _BREAST[1]), 0.0, 0.065)
+        arm, inner = c.arm, 0.6 + 0.4 * rp.cos(about_arm)
+        taut = 1 - 0.9 * step(p[:, 0], 0.05, 0.06) * bump(rp.hypot(p[:, 1] - _BREAST[0], p[:, 2] - _BREAST[1]), 0.0, 0.065)
         trunk = (1 - c.arm) * taut
         made = [
             (turn * (p[:, 2] + 0.15 * p[:, 1]) / 0.050, trunk * bump(c.up, 0.20, 0.15)),
             (turn * (p[:, 2] - 0.6 * p[:, 1]) / 0.068, trunk * 0.7 * bump(c.up, 0.42, 0.16)),
             (
-                13 * np.arctan2(off[:, 2], -off[:, 1]) + 2 * front,
-                taut * bump(np.hypot(off[:, 1], off[:, 2]), 0.11, 0.07) * step(-off[:, 2], -0.04, 0.1),
+                13 * rp.arctan2(off[:, 2], -off[:, 1]) + 2 * front,
+                taut * bump(rp.hypot(off[:, 1], off[:, 2]), 0.11, 0.07) * step(-off[:, 2], -0.04, 0.1),
             ),
-            (14 * np.arctan2(c.rest[:, 1], c.rest[:, 0]), trunk * down * 0.9),
-            (turn * c.along_arm * ARM_M / 0.042 + 1.2 * np.sin(about_arm), arm * 0.7 * inner * bump(c.along_arm, 1.0, 0.25)),
+            (14 * rp.arctan2(c.rest[:, 1], c.rest[:, 0]), trunk * down * 0.9),
+            (turn * c.along_arm * ARM_M / 0.042 + 1.2 * rp.sin(about_arm), arm * 0.7 * inner * bump(c.along_arm, 1.0, 0.25)),
             (turn * c.along_arm * ARM_M / 0.060 + 3 * about_arm, arm * 0.5 * step(c.along_arm, 0.3, 0.4)),
             (turn * c.along_arm * ARM_M / 0.040 + 2 * about_arm, arm * 0.5 * bump(c.along_arm, 1.78, 0.22)),
         ]
     else:
         leg = np.maximum(c.leg, step(-c.up, -0.12, 0.15) * (1 - c.arm)) * (1 - 0.7 * front_of_thigh())
-        behind = 0.5 - 0.5 * np.cos(about_leg)
+        behind = 0.5 - 0.5 * rp.cos(about_leg)
         crotch = p - (0.03, 0.0, -0.09)
         made = [
-            (11 * np.arctan2(crotch[:, 2], crotch[:, 1]), front * leg * bump(np.hypot(crotch[:, 1], crotch[:, 2]), 0.12, 0.07)),
+            (11 * rp.arctan2(crotch[:, 2], crotch[:, 1]), front * leg * bump(rp.hypot(crotch[:, 1], crotch[:, 2]), 0.12, 0.07)),
             (turn * (p[:, 2] - 0.5 * p[:, 1]) / 0.050, leg * 0.8 * bump(c.along_leg, 0.12, 0.16)),
             (turn * c.along_leg * LEG_M / 0.075 + 3 * about_leg, leg * 0.6 * bump(c.along_leg, 0.5, 0.4)),
             (turn * c.along_leg * LEG_M / 0.058 + about_leg, leg * (0.3 + 0.7 * behind) * bump(c.along_leg, 1.0, 0.18)),

@@ -15,6 +15,7 @@ import numpy as np
 
 from cabinpose._native import body
 from cabinpose.core import Bools, Floats, Floats32, Ints32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
 from cabinpose.scene.body.folds import around, blend_rows, folds, front_of_thigh, seen_chart, smooth_noise
@@ -92,7 +93,7 @@ def _neighbours() -> _Neighbours:
 @cache
 def _seen_field(name: str) -> Floats:
     """A border's field at every seen vertex."""
-    return np.concatenate([borders()[name], cut_skin().blend @ borders()[name]])
+    return np.concatenate([borders()[name], cut_skin().blend.of(borders()[name])])
 
 
 @cache
@@ -172,16 +173,16 @@ def _hung(points: Floats32, name: str, rest: RestArrays, narrowing: float, *, to
         length = np.linalg.norm(heads[1:] - heads[:-1], axis=1)
         below = np.cumsum([0.0, *length])[k] + (at - k) * length[k]
         # On who sits, cloth lies on the thighs and hangs below them.
-        fall = np.full(_SECTORS, 0.20) if top else narrowing + 0.12 * (1 + np.cos(_sectors()))
+        fall = np.full(_SECTORS, 0.20) if top else narrowing + 0.12 * (1 + rp.cos(_sectors()))
         target = _hanging(below, radius, around(off, heads[2] - heads[0]), fall)
         share = mask[inside] * step(weight[inside], 0.75, 0.5) * step(at, 0.25, 0.5)
         out[inside] += off * (share * np.maximum(target / radius - 1, 0))[:, None]
     if top:
         inside = np.flatnonzero((mask > 0) & (c.arm < 0.3) & (c.neck < 0.3))
         off = out[inside, :2] - (np.median(out[inside, 0]), 0.0)
-        radius = np.hypot(*off.T)
-        fall = narrowing * (1.6 - 0.6 * np.cos(_sectors()))  # most before the chest, less down the back
-        target = _hanging(-out[inside, 2], radius, np.arctan2(off[:, 1], off[:, 0]), fall)
+        radius = rp.hypot(*off.T)
+        fall = narrowing * (1.6 - 0.6 * rp.cos(_sectors()))  # most before the chest, less down the back
+        target = _hanging(-out[inside, 2], radius, rp.arctan2(off[:, 1], off[:, 0]), fall)
         # Also inwards: the table is even, however fine the mesh is where the skin has a small feature.
         share = mask[inside] * step(-c.up[inside], -0.86, 0.16) * step(-c.arm[inside], -0.10, 0.2)
         out[inside, :2] += off * (share * np.maximum(target + _CLEAR_M - radius, -_INWARDS_M) / radius)[:, None]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cabinpose._native import body as native
 from cabinpose.core import Bytes, ConfigError, Floats, Floats32, Ints32, Matrix
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
 from cabinpose.scene.body.asymmetry import asymmetric
 from cabinpose.scene.body.chart import load_chart, vertex_segments
@@ -72,7 +73,7 @@ class Person:
         """Joint to joint, m: upper_arm, forearm, hand (wrist to third knuckle), thigh, shin; of the left side."""
         o = self.rest.offsets
         length = {
-            name: float(np.linalg.norm(o[BONE_INDEX[child]]))
+            name: rp.norm(o[BONE_INDEX[child]])
             for name, child in (("upper_arm", "lforearm"), ("forearm", "lhand"), ("thigh", "lshank"), ("shin", "lfoot"))
         }
         return MappingProxyType(length)
@@ -139,7 +140,9 @@ def _with_fingers(rest: RestArrays, q: Floats, fingers: Floats | None) -> RestAr
     turns = rest.finger_axes.reshape(2, 5, 3, 3) * curl[..., None]
     for side in np.flatnonzero(~np.isnan(fingers[:, 5])):  # knuckles turn about the hand's y axis, not in step with the curl
         across = rest.frames[BONE_INDEX["lr"[side] + "hand"]][:, 1]
-        closing = rest.finger_axes.reshape(2, 5, 3, 3)[side, 1:, 0] @ across * rest.finger_curl.reshape(2, 5, 3)[side, 1:, 0]
+        closing = (
+            rp.matmul(rest.finger_axes.reshape(2, 5, 3, 3)[side, 1:, 0], across) * rest.finger_curl.reshape(2, 5, 3)[side, 1:, 0]
+        )
         turns[side, 1:, 0] += ((share[side, 5] / CLOSING - share[side, 1:5]) * closing)[:, None] * across
     turns = turns.reshape(-1, 3)
     angle = np.linalg.norm(turns, axis=1)
@@ -185,7 +188,7 @@ class PosedBody:
     def eyes_m(self) -> Floats:
         """(3,) the point between the eyes."""
         head = self._vehicle_from_mesh[BONE_INDEX["head"]]
-        return np.asarray(head[:, :3] @ self.person.eyes_rest + head[:, 3])
+        return np.asarray(rp.matmul(head[:, :3], self.person.eyes_rest) + head[:, 3])
 
     def surface(self, instance: int) -> Surface:
         """What the camera sees: clothed, with hair and accessories. instance: 1 + occupant slot."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import labels
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import BOTTOM_ENDS, HEM_M, TOP_ENDS, borders
@@ -32,13 +33,13 @@ _WAIST, _HIP_CENTRE, _SHOULDER_Y, _SHOULDER_REACH = 0.16, 0.55, 0.84, 0.45
 class Blend:
     """Points (M,) on the skin's faces as blends of its vertices: parents, weights (M, 3), weight 0 where fewer than 3 are needed.
 
-    `blend @ values` are the values (M, ...) there of what has values (V, ...) at the vertices.
+    `blend.of(values)` are the values (M, ...) there of what has values (V, ...) at the vertices.
     """
 
     parents: Ints32
     weights: NDArray[np.floating]
 
-    def __matmul__(self, values: Floats) -> Floats:
+    def of(self, values: Floats) -> Floats:
         first, second, third = (
             self.weights[:, k].reshape(-1, *[1] * (values.ndim - 1)) * values[self.parents[:, k]] for k in range(3)
         )
@@ -94,8 +95,8 @@ class _Cutter:
 
     def refine(self, rest: Floats, longest: float, where: Bools) -> None:
         """Halve the edges that are longer than `longest` on rest (V, 3) and have both ends in `where` (V,)."""
-        points = self.every @ rest
-        inside = (self.every @ where.astype(np.float64)) > 0.99
+        points = self.every.of(rest)
+        inside = self.every.of(where.astype(np.float64)) > 0.99
         corner, following = self.faces, np.roll(self.faces, -1, axis=1)
         long = (np.linalg.norm(points[corner] - points[following], axis=2) > longest) & inside[corner] & inside[following]
         count = len(self.every)
@@ -119,10 +120,10 @@ class _Cutter:
 
     def cut(self, field: Floats, where: Bools) -> None:
         """Cut along field = 0 (field (V,) on the skin's vertices), in faces whose corners are all in `where` (V,)."""
-        value = self.every @ field
+        value = self.every.of(field)
         near = np.flatnonzero(~_all((value >= 0)[self.faces]) & ~_all((value <= 0)[self.faces]))  # faces on both sides
         faces = self.faces[near]
-        inside = _all(((self.every @ where.astype(np.float64)) > 0.99)[faces])
+        inside = _all((self.every.of(where.astype(np.float64)) > 0.99)[faces])
         value = _snapped(value, faces[inside])
         count = len(self.every)
         corner, following = faces, np.roll(faces, -1, axis=1)  # edge k from corner k to the next
@@ -144,10 +145,10 @@ class _Cutter:
         needed = np.stack([np.ones_like(twice), twice], axis=1).ravel()
         low, high = np.sort(ends[needed], axis=1).T
         edges, first, which = np.unique(low * count + high, return_index=True, return_inverse=True)
-        order = np.argsort(first)
+        order = np.argsort(first, kind="stable")
         pairs = np.stack(np.divmod(edges[order], count), axis=1)
         made = np.zeros(len(needed), np.int64)
-        made[needed] = count + np.argsort(order)[which]
+        made[needed] = count + np.argsort(order, kind="stable")[which]
         m, n = made.reshape(-1, 2).T
         # Two pieces of a face that is cut once, three of one that is cut twice.
         two, three = np.stack([a, b, m, a, m, c, m, m, m], axis=1), np.stack([a, m, n, m, b, c, m, c, n], axis=1)
@@ -183,7 +184,7 @@ def _fields() -> tuple[dict[str, Floats], float]:
     c = load_chart()
     shoulder = c.heads["lupperarm01"]
     mirrored = c.rest * np.where(c.rest[:, 1:2] < 0, (1, -1, 1), (1, 1, 1))
-    length = np.linalg.norm(c.heads["llowerarm01"] - shoulder)
+    length = rp.norm(c.heads["llowerarm01"] - shoulder)
     fields = {
         "arm": c.arm, "leg": c.leg, "neck": c.neck, "head": c.head, "along_arm": c.along_arm, "along_leg": c.along_leg,
         "up": c.up, "y": c.rest[:, 1], "x": c.rest[:, 0], "aside": mirrored[:, 1] / shoulder[1],
@@ -252,15 +253,15 @@ def cut_skin() -> CutSkin:
     dense = np.zeros((count, int(space.bone_index.max()) + 1))
     for k in range(space.bone_index.shape[1]):
         np.add.at(dense, (np.arange(count), space.bone_index[:, k]), space.bone_weight[:, k])
-    mixed = blend @ dense
+    mixed = blend.of(dense)
     width = space.bone_index.shape[1]
     order = np.argsort(-mixed.round(9), axis=1, kind="stable")[:, :width]
     weight = np.take_along_axis(mixed, order, axis=1)
     weight /= weight.sum(axis=1, keepdims=True)
-    at = {name: (cutter.every @ field)[cutter.faces].mean(axis=1) for name, field in value.items()}
+    at = {name: cutter.every.of(field)[cutter.faces].mean(axis=1) for name, field in value.items()}
     return CutSkin(
         cutter.faces.astype(np.int32), cutter.source, Blend(blend.parents, blend.weights.astype(np.float32)),
         np.concatenate([space.bone_index, np.where(weight > 0, order, 0).astype(np.uint8)]),
         np.concatenate([space.bone_weight, weight.astype(np.float32)]), _labels(at, hip),
-        MappingProxyType({name: (cutter.every @ field)[cutter.faces].mean(axis=1) > 0 for name, field in edges.items()}),
+        MappingProxyType({name: cutter.every.of(field)[cutter.faces].mean(axis=1) > 0 for name, field in edges.items()}),
     )  # fmt: skip

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cabinpose.core import JOINTS, Floats, cross
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, FINGER_BONES, MAIN_BONES, N_MAIN, PARENT, SIDES
 
@@ -36,7 +37,7 @@ _CURL_DEG = ((60.0, 40.0, 60.0), (90.0, 100.0, 70.0))
 
 
 def _unit(v: Floats) -> Floats:
-    return np.asarray(v / np.linalg.norm(v))
+    return np.asarray(v / rp.norm(v))
 
 
 def _frame(z: Floats, y: Floats) -> Floats:
@@ -79,7 +80,7 @@ def rest_arrays(skin: Floats, heads: Floats, named: Mapping[str, int]) -> tuple[
         long = wrist - knuckles[1]
         hand = _frame(long, cross(long, knuckles[0] - knuckles[3]))
         frames[BONE_INDEX[side + "hand"]] = hand
-        pronation[number] = -s * np.arctan2(hand[:, 0] @ forearm[:, 1], hand[:, 0] @ forearm[:, 0])
+        pronation[number] = -s * rp.arctan2(rp.matmul(hand[:, 0], forearm[:, 1]), rp.matmul(hand[:, 0], forearm[:, 0]))
         heading = (head(side, "toe3_1") - ankle) * (1, 1, 0)
         knee_axis = cross(np.array([0.0, 0.0, 1.0]), heading)
         frames[BONE_INDEX[side + "thigh"]] = _frame(hip - knee, knee_axis)
@@ -91,44 +92,44 @@ def rest_arrays(skin: Floats, heads: Floats, named: Mapping[str, int]) -> tuple[
             finger, phalanx = divmod(k, 3)
             f = 15 * number + k
             if finger == 0:
-                axes[f] = hand @ _unit(np.array([-s * 0.2, _THUMB_Y[phalanx], -s * 0.9]))
+                axes[f] = rp.matmul(hand, _unit(np.array([-s * 0.2, _THUMB_Y[phalanx], -s * 0.9])))
                 curl[f] = np.radians(_CURL_DEG[0][phalanx])
             else:
                 curled = np.array([-s * np.radians(_CURL_DEG[1][phalanx]), 0.0, 0.0])
                 if phalanx == 0:  # spread fingers close up while they curl
-                    along = hand.T @ (head(side, f"finger{finger + 1}_2") - head(side, f"finger{finger + 1}_1"))
-                    curled[1] = np.arctan2(along[0], -along[2]) * CLOSING
-                curl[f] = np.linalg.norm(curled)
-                axes[f] = hand @ curled / curl[f]
+                    along = rp.matmul(hand.T, head(side, f"finger{finger + 1}_2") - head(side, f"finger{finger + 1}_1"))
+                    curled[1] = rp.arctan2(along[0], -along[2]) * CLOSING
+                curl[f] = rp.norm(curled)
+                axes[f] = rp.matmul(hand, curled) / curl[f]
     offsets = np.zeros((N_MAIN, 3))
     for name in MAIN_BONES[1:]:
         b, parent = BONE_INDEX[name], BONE_INDEX[PARENT[name]]
-        offsets[b] = frames[parent].T @ (bone_heads[b] - bone_heads[parent])
+        offsets[b] = rp.matmul(frames[parent].T, bone_heads[b] - bone_heads[parent])
     joint_bone, joint_offset = np.empty(len(JOINTS), np.int64), np.empty((len(JOINTS), 3))
     for k, joint in enumerate(JOINTS):
         side = "" if joint in _JOINT else joint[0]
         bone, point = _JOINT[joint[len(side) :]]
         b = joint_bone[k] = BONE_INDEX[side + bone]
-        joint_offset[k] = frames[b].T @ (head(side, point) - bone_heads[b])
+        joint_offset[k] = rp.matmul(frames[b].T, head(side, point) - bone_heads[b])
     return RestArrays(offsets, frames, bone_heads, joint_bone, joint_offset, palms, soles, pronation, axes, curl), origin
 
 
 def _palm(hand: Floats, wrist: Floats, knuckles: list[Floats], s: float) -> Floats:
     """hand_from_palm: origin on the axis (y) of a rim of 30 mm that lies in the palm, along and below the knuckles."""
     middle = np.mean(knuckles, axis=0) - wrist
-    size = np.linalg.norm(middle)
+    size = rp.norm(middle)
     normal = np.array([0.0, -s, 0.0])
-    along = hand.T @ (knuckles[3] - knuckles[0]) * (1, 0, 1)  # index to little finger
+    along = rp.matmul(hand.T, knuckles[3] - knuckles[0]) * (1, 0, 1)  # index to little finger
     x = _unit(cross(normal, along)) * s
     result = np.eye(4)
     result[:3, :3] = np.stack([x, cross(normal, x), normal], axis=1)
-    result[:3, 3] = hand.T @ middle * _RIM_BELOW + normal * (_PALM_DEPTH * size + RIM_RADIUS_M)
+    result[:3, 3] = rp.matmul(hand.T, middle) * _RIM_BELOW + normal * (_PALM_DEPTH * size + RIM_RADIUS_M)
     return result
 
 
 def _sole(foot: Floats, ankle: Floats, skin: Floats) -> Floats:
     """foot_from_sole: origin on the ground under the back of the heel, below the ankle's line."""
-    local = (skin - ankle) @ foot
+    local = rp.matmul(skin - ankle, foot)
     lowest = local[local[:, 2] < local[:, 2].min() + 0.03]
     result = np.eye(4)
     result[:3, 3] = lowest[:, 0].min() + 0.015, 0.0, lowest[:, 2].min()

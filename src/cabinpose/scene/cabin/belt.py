@@ -14,6 +14,7 @@ import numpy as np
 
 from cabinpose._native import cabin as native
 from cabinpose.core import CABINPOSE, Bytes, ConfigError, Floats, Floats32, Ints32, cross
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Seat, SeatSetting, Vector
 from cabinpose.scene.cabin.shapes import slab_faces, smoothstep
 from cabinpose.scene.labels import LABEL_ID as LABEL
@@ -142,11 +143,11 @@ class _Trunk(NamedTuple):
         at = {name: joints[i] for name, i in CABINPOSE.index.items()}
         pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
         up = at["chest"] - pelvis
-        up = up / np.linalg.norm(up)
+        up = up / rp.norm(up)
         across = at["lpelvis"] - at["rpelvis"]
         ahead = cross(across, up)
-        ahead = ahead / np.linalg.norm(ahead)
-        size = float(np.linalg.norm(at["neck"] - pelvis)) / 0.52  # against an adult's trunk
+        ahead = ahead / rp.norm(ahead)
+        size = rp.norm(at["neck"] - pelvis) / 0.52  # against an adult's trunk
         ends = joints[_BONES]
         bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
         vertices = np.ascontiguousarray(wearer.vertices, dtype=np.float32)
@@ -156,7 +157,7 @@ class _Trunk(NamedTuple):
     def shoulder_at(self, anchor: Vector) -> Vector:
         """The shoulder beside an anchor; a place between the two where somebody leans so far that both are about as near."""
         left, right = self.at["lshoulder"], self.at["rshoulder"]
-        nearer_m = float(np.linalg.norm(right - anchor) - np.linalg.norm(left - anchor))
+        nearer_m = float(rp.norm(right - anchor) - rp.norm(left - anchor))
         share = float(smoothstep(nearer_m, -_BETWEEN_M, _BETWEEN_M))
         return np.asarray(share * left + (1.0 - share) * right)
 
@@ -170,7 +171,7 @@ def _lain_on(skin: Floats32, faces: Ints32, joints: Floats, labels: Bytes) -> tu
     chest, lap = [faces[_LAIN_ON[labels]]], [faces[_LAIN_ON[labels]]]
     for label, near, far, shares in _ROOTS:
         limb, bone = faces[labels == label], joints[far] - joints[near]
-        along = (skin[limb].mean(axis=1) - joints[near]) @ bone / (bone @ bone)
+        along = rp.matmul(skin[limb].mean(axis=1) - joints[near], bone) / (rp.matmul(bone, bone))
         chest.append(limb[along < shares[0]])
         lap.append(limb[along < shares[1]])
     return np.concatenate(chest), np.concatenate(lap)
@@ -228,17 +229,17 @@ def _kept_in_front(start: Vector, through: Vector, end: Vector, front: Vector) -
     Somebody who leans or twists far has the collar bone beside that line: a belt in its plane would lie on the outside of the
     other arm. A real one has slipped towards the belly.
     """
-    chord = (end - start) / np.linalg.norm(end - start)
-    aside, ahead = (v - (v @ chord) * chord for v in (through - start, front))
-    reach = float(np.linalg.norm(aside))
-    aside, ahead = aside / reach, ahead / np.linalg.norm(ahead)
-    angle = float(np.arccos(np.clip(aside @ ahead, -1.0, 1.0)))
+    chord = (end - start) / rp.norm(end - start)
+    aside, ahead = (v - (rp.matmul(v, chord)) * chord for v in (through - start, front))
+    reach = rp.norm(aside)
+    aside, ahead = aside / reach, ahead / rp.norm(ahead)
+    angle = float(rp.arccos(np.clip(rp.matmul(aside, ahead), -1.0, 1.0)))
     if angle <= _ASIDE:
         return through
     kept = max(_ASIDE - (angle - _ASIDE), 0.0)  # without a jump from one pose to the next
-    across = aside - (aside @ ahead) * ahead
-    across /= max(float(np.linalg.norm(across)), 1e-9)
-    return np.asarray(through + reach * (np.cos(kept) * ahead + np.sin(kept) * across - aside))
+    across = aside - (rp.matmul(aside, ahead)) * ahead
+    across /= max(rp.norm(across), 1e-9)
+    return np.asarray(through + reach * (rp.cos(kept) * ahead + rp.sin(kept) * across - aside))
 
 
 class _TrunkBones(NamedTuple):

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from cabinpose.core import ConfigError, DriveSide, Matrix, apply, invert, unknown_name
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin import cockpit, shell
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.layout import Layout
@@ -152,9 +153,9 @@ def _shoulder_exit(h: Vector, shape: SeatShape, torso: float, side: float, backw
     """Where the belt leaves the top of a backrest that is not beside a pillar."""
     up, behind = shape.back_height + 0.012, shape.back_behind_h + 0.6 * shape.back_depth
     offset = (
-        -np.sin(torso) * up - np.cos(torso) * behind,
+        -rp.sin(torso) * up - rp.cos(torso) * behind,
         side * 0.36 * shape.top_width,
-        np.cos(torso) * up - np.sin(torso) * behind,
+        rp.cos(torso) * up - rp.sin(torso) * behind,
     )
     return np.asarray(h + _flip(backward, offset))
 

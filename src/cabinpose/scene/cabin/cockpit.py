@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cabinpose.core import Floats, Matrix
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.layout import PEDAL_LENGTH, Layout
 from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface
@@ -112,17 +113,17 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
     radius = d.w9_mm / 2000 - section
     tilt = np.deg2rad(d.a18_deg)
     pose = np.eye(4)
-    pose[:3, 0] = (np.sin(tilt), 0, np.cos(tilt))
+    pose[:3, 0] = (rp.sin(tilt), 0, rp.cos(tilt))
     pose[:3, 1] = (0, 1, 0)
-    pose[:3, 2] = (-np.cos(tilt), 0, np.sin(tilt))
+    pose[:3, 2] = (-rp.cos(tilt), 0, rp.sin(tilt))
     pose[:3, 3] = (-d.l11_mm / 1000, layout.h_front[1], d.h17_mm / 1000)
     wheel = SteeringWheel(pose, radius, section)
 
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    flat = 0.022 * smoothstep(-np.cos(angle), 0.86, 1.0) if d.seat_style == "sport" else 0.0  # flattened bottom
-    path = np.stack(((radius - flat) * np.cos(angle), (radius - flat) * np.sin(angle), 0 * angle), axis=-1)
-    off = np.abs(np.abs(np.angle(np.exp(1j * angle))) - np.deg2rad(68))
-    bulge = 1 + 0.16 * np.exp(-((off / 0.16) ** 2))  # thumb rests at ten and two
+    flat = 0.022 * smoothstep(-rp.cos(angle), 0.86, 1.0) if d.seat_style == "sport" else 0.0  # flattened bottom
+    path = np.stack(((radius - flat) * rp.cos(angle), (radius - flat) * rp.sin(angle), 0 * angle), axis=-1)
+    off = np.abs(np.abs((angle + np.pi) % (2 * np.pi) - np.pi) - np.deg2rad(68))
+    bulge = 1 + 0.16 * rp.exp(-((off / 0.16) ** 2))  # thumb rests at ten and two
     rim = sweep(path, ellipse(section * bulge, section * bulge, 10), closed=True, up=(0, 0, 1))
 
     four = d.dash_style in ("simple", "upright")
@@ -130,12 +131,12 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
     spokes = []
     for degrees in places:
         a = np.deg2rad(degrees)
-        along = np.array([np.cos(a), np.sin(a)])
+        along = np.array([rp.cos(a), rp.sin(a)])
         reach = np.linspace(0.045, radius, 7)
         depth = -0.045 + 0.043 * smoothstep(reach, 0.06, radius)
         line = np.stack((reach * along[0], reach * along[1], depth), axis=-1)
         s = np.linspace(0, 1, 7)
-        wide = 0.034 - 0.014 * np.sin(np.pi * s * 0.8) if degrees != 180 else 0.022 - 0.006 * s
+        wide = 0.034 - 0.014 * rp.sin(np.pi * s * 0.8) if degrees != 180 else 0.022 - 0.006 * s
         spokes.append(sweep(line, ellipse(0.0085 + 0 * s, wide, 10, 2.6), up=(0, 0, 1)))
     hub = rounded_box((0.155, 0.165, 0.055), (0.060, 0.070, 0.022), (2, 2, 1), corner=2)
 
@@ -169,7 +170,7 @@ def pedals(layout: Layout, driver_y: float) -> tuple[dict[str, Matrix], list[Par
     The accelerator is right of the brake whichever side the driver sits on, so pedals are placed, not mirrored.
     """
     a = layout.pedal_angle
-    along, out = np.array([np.cos(a), 0, np.sin(a)]), np.array([-np.sin(a), 0, np.cos(a)])
+    along, out = np.array([rp.cos(a), 0, rp.sin(a)]), np.array([-rp.sin(a), 0, rp.cos(a)])
     base = PEDAL_LENGTH * along
     places: dict[str, tuple[float, float, tuple[float, float], float]] = {  # y offset, proud of the plane, pad (long, wide), up
         "accelerator": (-0.115, 0.0, (0.13, 0.055), 0.0),

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cabinpose.core import ConfigError, Matrix, apply
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.car_file import CabinFile, Point, SeatSpec, WheelSpec, read_car_file
 from cabinpose.scene.cabin.default_views import default_views
 from cabinpose.scene.cabin.layout import pedal_plane_angle
@@ -108,8 +109,8 @@ class _Placer:
         return corners.min(axis=0), corners.max(axis=0)
 
     def direction(self, v: Point) -> Vector:
-        turned = self._matrix[:3, :3] @ np.asarray(v, dtype=np.float64)
-        length = float(np.linalg.norm(turned))
+        turned = rp.matmul(self._matrix[:3, :3], np.asarray(v, dtype=np.float64))
+        length = rp.norm(turned)
         if length < 1e-9:
             raise ConfigError("a direction of length zero", hint="the wheel's axis points from its hub to the driver")
         return np.asarray(turned / length)
@@ -119,7 +120,7 @@ def file_from_vehicle(yaml_path: Path, spec: CabinFile) -> Matrix:
     """(4, 4) that takes a point of the vehicle frame (m) to the frame in which a YAML file gives its points."""
     if spec.points == "vehicle":
         return np.eye(4)
-    return np.asarray(np.linalg.inv(_mesh_of(yaml_path, spec).vehicle_from_mesh), np.float64)
+    return np.asarray(rp.inv(_mesh_of(yaml_path, spec).vehicle_from_mesh), np.float64)
 
 
 def _mesh_of(yaml_path: Path, spec: CabinFile) -> MeshFile:
@@ -136,7 +137,7 @@ def _mesh_of(yaml_path: Path, spec: CabinFile) -> MeshFile:
 def _seat(slot: str, s: SeatSpec, place: _Placer, spec: CabinFile) -> Seat:
     yaw = 0.0 if s.facing == "forward" else np.pi
     h = place.point(s.h_point)
-    forward = np.array([np.cos(yaw), 0.0, 0.0])
+    forward = np.array([rp.cos(yaw), 0.0, 0.0])
     default = SeatSetting(0.0, 0.0, float(np.deg2rad(s.torso_angle_deg)))
     torso = s.torso_angle_range_deg or (s.torso_angle_deg, s.torso_angle_deg)
     for name, (low, high), inside in (
@@ -168,9 +169,9 @@ def _wheel(spec: WheelSpec | None, place: _Placer) -> SteeringWheel | None:
         return None
     z = place.direction(spec.axis)
     x = np.array([0.0, 0.0, 1.0]) - z * z[2]
-    if np.linalg.norm(x) < 1e-6:
+    if rp.norm(x) < 1e-6:
         x = np.array([1.0, 0.0, 0.0])
-    x = x / np.linalg.norm(x)
+    x = x / rp.norm(x)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x, np.cross(z, x), z, place.point(spec.centre)
     return SteeringWheel(pose, (spec.diameter_mm - spec.section_mm) / 2000, spec.section_mm / 2000)
@@ -186,7 +187,7 @@ def _pedals(spec: CabinFile, place: _Placer, seats: Mapping[str, Seat]) -> dict[
                 pedal_plane_angle(float(driver.design_h_point[2] - driver.heel_m[2])) if driver is not None else np.deg2rad(60)
             )
         pose = np.eye(4)
-        pose[:3, 0], pose[:3, 1] = (np.cos(angle), 0, np.sin(angle)), (0, 1, 0)
-        pose[:3, 2], pose[:3, 3] = (-np.sin(angle), 0, np.cos(angle)), place.point(pedal.point)
+        pose[:3, 0], pose[:3, 1] = (rp.cos(angle), 0, rp.sin(angle)), (0, 1, 0)
+        pose[:3, 2], pose[:3, 3] = (-rp.sin(angle), 0, rp.cos(angle)), place.point(pedal.point)
         poses[str(name)] = pose
     return poses

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.dimensions import CabinDimensions
 from cabinpose.scene.cabin.shapes import smoothstep
 
@@ -63,7 +64,7 @@ class Layout:
         self.torso, self.torso_2 = np.deg2rad(d.a40_deg), np.deg2rad(d.a40_2_deg)
         self.cushion, self.cushion_2 = np.deg2rad(d.a27_deg), np.deg2rad(d.a27_2_deg)
         self.belt_z = self.h_front[2] + d.h25_mm / 1000
-        self.tumblehome = np.tan(np.deg2rad(d.a122_deg))
+        self.tumblehome = rp.tan(np.deg2rad(d.a122_deg))
         self.pedal_angle = pedal_plane_angle(d.h30_mm / 1000)
         self.toe_x = 0.13  # where the floor turns up into the toe board
         sign = -1.0 if self.facing else 1.0
@@ -74,8 +75,8 @@ class Layout:
         self.header_z = self.head_front[1] - (0.0 if self.facing else 0.035)
         self.roof_end_z = self.head_rear[1] - d.roof_drop_mm / 1000
         self.cowl_z = self.belt_z + (0.0 if self.facing else 0.055)
-        self.screen_slope = np.tan(np.deg2rad(d.a121_1_deg))
-        self.backlight_slope = np.tan(np.deg2rad(d.a121_2_deg))
+        self.screen_slope = rp.tan(np.deg2rad(d.a121_1_deg))
+        self.backlight_slope = rp.tan(np.deg2rad(d.a121_2_deg))
         self.cowl_x = self.header_x + (self.header_z - self.cowl_z) * self.screen_slope
         self.shelf_z = self.belt_z + (0.0 if self.facing else 0.02)
         self.shelf_end_x = self.roof_end_x - (self.roof_end_z - self.shelf_z) * self.backlight_slope
@@ -87,8 +88,8 @@ class Layout:
     def _headlining(h_point: Floats, head_room: float, rearward: float) -> tuple[float, float]:
         reach = head_room - HEAD_ROOM_OFFSET
         return (
-            float(h_point[0] - rearward * np.sin(HEAD_ROOM_SLOPE) * reach),
-            float(h_point[2] + np.cos(HEAD_ROOM_SLOPE) * reach),
+            float(h_point[0] - rearward * rp.sin(HEAD_ROOM_SLOPE) * reach),
+            float(h_point[2] + rp.cos(HEAD_ROOM_SLOPE) * reach),
         )
 
     @cached_property
@@ -116,7 +117,7 @@ class Layout:
 
     def roof(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height of the headlining with its crown: it falls towards the sides."""
-        return np.asarray(self.roof_line(x) - 0.075 * (np.abs(y) / 0.70) ** 3.2)
+        return np.asarray(self.roof_line(x) - 0.075 * rp.power(np.abs(y) / 0.70, 3.2))
 
     def rail_z(self, x: ArrayLike) -> Floats:
         """Height of the upper edge of the side windows, m."""

@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 
 from cabinpose.core import DependencyError, Floats, Ints32, MeshError, optional_module
+from cabinpose.core import reproducible as rp
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 AXES = {f"{sign}{axis}": (-1.0 if sign else 1.0) * np.eye(3)[i] for i, axis in enumerate("xyz") for sign in ("", "-")}
@@ -82,7 +83,7 @@ def read_mesh(
     is_gltf = path.suffix.lower() in (".glb", ".gltf")
     up = AXES[_up_axis(path, up_axis, extent, is_gltf, notes)]
     front = AXES[_front_axis(path, front_axis, up, extent, is_gltf, notes)]
-    if abs(float(up @ front)) > 0.5:
+    if abs(float(rp.matmul(up, front))) > 0.5:
         raise MeshError(
             f"{path}: up axis '{up_axis}' and front axis '{front_axis}' are one line", hint="choose two different axes"
         )
@@ -90,8 +91,8 @@ def read_mesh(
     rotation = np.stack((front, np.cross(up, front), up))
     matrix = np.eye(4)
     matrix[:3, :3] = factor * rotation
-    matrix[:3, 3] = -factor * rotation @ np.asarray(origin, dtype=np.float64)
-    meshes = tuple(NamedMesh(m.name, m.vertices @ matrix[:3, :3].T + matrix[:3, 3], m.faces) for m in raw)
+    matrix[:3, 3] = rp.matmul(-factor * rotation, np.asarray(origin, dtype=np.float64))
+    meshes = tuple(NamedMesh(m.name, rp.matmul(m.vertices, matrix[:3, :3].T) + matrix[:3, 3], m.faces) for m in raw)
     return MeshFile(meshes, matrix, tuple(notes))
 
 
@@ -101,7 +102,7 @@ def _up_axis(path: Path, given: str, extent: Floats, is_gltf: bool, notes: list[
     if is_gltf:
         notes.append("up axis y: glTF says so")
         return "y"
-    order = np.argsort(extent)
+    order = np.argsort(extent, kind="stable")
     low, middle = extent[order[0]], extent[order[1]]
     axis = "xyz"[order[0]]
     if low > 0.92 * middle:
@@ -193,12 +194,12 @@ def _meshes_of(path: Path, scene: trimesh.Scene) -> list[NamedMesh]:
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             continue
         material = getattr(getattr(geometry.visual, "material", None), "name", None) or ""
-        vertices = np.asarray(geometry.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        vertices = rp.matmul(np.asarray(geometry.vertices, dtype=np.float64), matrix[:3, :3].T) + matrix[:3, 3]
         if geometry.faces.min() < 0 or geometry.faces.max() >= len(vertices):
             wrong = f"{path}: mesh '{key}' has triangles of vertices that it lacks"
             raise MeshError(wrong, hint="the file is damaged: copy or export it again")
         faces = np.asarray(geometry.faces, dtype=np.int32)
-        if np.linalg.det(matrix[:3, :3]) < 0:
+        if rp.matmul(np.cross(matrix[0, :3], matrix[1, :3]), matrix[2, :3]) < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
         name = f"{node}/{key}/{material}"
         if not np.isfinite(vertices).all():

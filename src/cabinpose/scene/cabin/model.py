@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError, Floats, Floats32, Matrix, axis_rotation, unknown_name
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.surface import Surface, merge
 
 Vector = Floats  # (3,)
@@ -120,7 +121,7 @@ class Seat:
 
     def _reclined(self, vehicle_from_seat: Matrix, setting: SeatSetting) -> Matrix:
         matrix = vehicle_from_seat.copy()
-        matrix[:3, :3] = matrix[:3, :3] @ axis_rotation("y", -setting.torso_angle)
+        matrix[:3, :3] = rp.matmul(matrix[:3, :3], axis_rotation("y", -setting.torso_angle))
         return matrix
 
     def h_point(self, setting: SeatSetting) -> Vector:
@@ -155,12 +156,12 @@ class SteeringWheel:
 
     def grip_point(self, angle: float) -> Vector:
         """(3,) vehicle: the rim's centre line at `angle` rad from the top, positive to the left (pi/2 = nine o'clock)."""
-        local = np.array([np.cos(angle), np.sin(angle), 0.0]) * self.rim_radius_m
-        return np.asarray(self.vehicle_from_wheel[:3, :3] @ local + self.vehicle_from_wheel[:3, 3])
+        local = np.array([rp.cos(angle), rp.sin(angle), 0.0]) * self.rim_radius_m
+        return np.asarray(rp.matmul(self.vehicle_from_wheel[:3, :3], local) + self.vehicle_from_wheel[:3, 3])
 
     def tangent(self, angle: float) -> Vector:
         """(3,) unit, vehicle: along the rim at `angle`, the way the angle grows."""
-        return np.asarray(self.vehicle_from_wheel[:3, :3] @ np.array([-np.sin(angle), np.cos(angle), 0.0]))
+        return np.asarray(rp.matmul(self.vehicle_from_wheel[:3, :3], np.array([-rp.sin(angle), rp.cos(angle), 0.0])))
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,7 @@ class Cabin:
         if self.steering_wheel is not None:
             turn = np.eye(4)
             turn[:3, :3] = axis_rotation("z", wheel_angle)
-            result[WHEEL_GROUP] = self.steering_wheel.vehicle_from_wheel @ turn
+            result[WHEEL_GROUP] = rp.matmul(self.steering_wheel.vehicle_from_wheel, turn)
         return result
 
     def surface(self, settings: Mapping[str, SeatSetting] | None = None, *, wheel_angle: float = 0.0) -> Surface:
@@ -244,8 +245,8 @@ class Cabin:
         vertices, normals = self._template.vertices.copy(), self._template.normals.copy()
         for group in self._groups[1:]:
             m = transforms[group.name].astype(np.float32)
-            vertices[group.span] = group.vertices @ m[:3, :3].T + m[:3, 3]
-            normals[group.span] = group.normals @ m[:3, :3].T
+            vertices[group.span] = rp.matmul(group.vertices, m[:3, :3].T) + m[:3, 3]
+            normals[group.span] = rp.matmul(group.normals, m[:3, :3].T)
         t = self._template
         return Surface(vertices, normals, t.faces, t.label, t.material, t.instance)
 

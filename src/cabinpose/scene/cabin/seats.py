@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import Solid, block, join, prism, rounded_box, smoothstep, tube
@@ -86,7 +87,7 @@ STYLES = {
 
 def _towards_edges(y: Floats, half: float) -> Floats:
     """Moves grid lines outwards, where the bolsters bend; the edges stay."""
-    return np.asarray(np.sign(y) * half * (np.abs(y) / half) ** 0.72)
+    return np.asarray(np.sign(y) * half * rp.power(np.abs(y) / half, 0.72))
 
 
 def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float], fine: bool, floor: float) -> Solid:
@@ -104,11 +105,11 @@ def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float], fine: b
         top = smoothstep(z, -shape.cushion_depth / 2, shape.cushion_depth / 2)
         bolster = np.where(y > 0, sides[0], sides[1]) * shape.bolster_cushion
         rise = bolster * smoothstep(np.abs(y), shape.insert, shape.width / 2 - 0.035) * smoothstep(s, 0.12, 0.5)
-        dish = -0.010 * np.exp(-(((x + mid) / 0.16) ** 2)) * (1 - (2 * y / shape.width) ** 2)  # hollow under the seat bones
-        fall = -0.045 * smoothstep(s, 0.80, 1.0) ** 1.5  # waterfall edge under the knees
+        dish = -0.010 * rp.exp(-(((x + mid) / 0.16) ** 2)) * (1 - (2 * y / shape.width) ** 2)  # hollow under the seat bones
+        fall = -0.045 * rp.power(smoothstep(s, 0.80, 1.0), 1.5)  # waterfall edge under the knees
         narrow = 1 - 0.035 * smoothstep(s, 0.55, 1.0)
         x_ = x + mid
-        slope = np.tan(angle) * x_
+        slope = rp.tan(angle) * x_
         z_ = z - shape.cushion_depth / 2 - shape.cushion_below_h + slope + top * (rise + dish + fall)
         z_ = z_ + (1 - top) * 0.035 * smoothstep(-s, -0.55, 0.0)  # thinner at the rear: room for feet behind
         return np.stack((x_, y * narrow, np.where(top < 0.98, np.maximum(z_, floor + 0.012 * top), z_)), axis=-1)
@@ -130,7 +131,7 @@ def _back(shape: SeatShape, sides: tuple[float, float], fine: bool) -> Solid:
         bolster = np.where(y > 0, sides[0], sides[1]) * shape.bolster_back
         reach = smoothstep(z_, -0.10, 0.10) * (1 - 0.65 * smoothstep(z_, 0.34, 0.56))
         rise = bolster * smoothstep(np.abs(y), shape.insert * 0.95, shape.width / 2 - 0.03) * reach
-        lumbar = shape.lumbar * np.exp(-(((z_ - 0.17) / 0.11) ** 2))
+        lumbar = shape.lumbar * rp.exp(-(((z_ - 0.17) / 0.11) ** 2))
         crown = -0.018 * smoothstep(z_, 0.36, 0.60)  # the upper back leans away
         taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, min(shape.back_height, high) - 0.01)
         head = np.zeros_like(z_)
@@ -175,7 +176,7 @@ def _back_shell(shape: SeatShape) -> Solid:
         x, y, z = p.T
         z_ = z + height / 2 - 0.06
         taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, shape.back_height - 0.01)
-        knee = 0.020 * np.exp(-(((z_ - 0.22) / 0.14) ** 2)) * (1 - (2 * y / shape.width) ** 2)  # hollow for knees behind
+        knee = 0.020 * rp.exp(-(((z_ - 0.22) / 0.14) ** 2)) * (1 - (2 * y / shape.width) ** 2)  # hollow for knees behind
         x_ = x - shape.back_behind_h - shape.back_depth + 0.003 + 0.012 * smoothstep(z_, 0.25, height) + knee
         return np.stack((x_, y * taper, z_), axis=-1)
 
@@ -200,11 +201,11 @@ def _under(shape: SeatShape, stand: SeatStand) -> list[Solid]:
 
         def bend(p: Floats, y: float = y) -> Floats:
             x, side_y, z = p.T
-            return np.stack((x, side_y + y, np.maximum(z + top + 0.025 + np.tan(angle) * x, floor + 0.1 * z)), axis=-1)
+            return np.stack((x, side_y + y, np.maximum(z + top + 0.025 + rp.tan(angle) * x, floor + 0.1 * z)), axis=-1)
 
         solids.append(shield.deformed(bend))
         for x in (-0.04, 0.23):  # behind the rear riser is room for the toes of those behind
-            tall = max(top + 0.05 + np.tan(angle) * x - floor, 0.03)
+            tall = max(top + 0.05 + rp.tan(angle) * x - floor, 0.03)
             solids.append(block((0.06, 0.05, tall)).shifted(x, side * (shape.width / 2 - 0.07), floor + tall / 2))
     return solids
 

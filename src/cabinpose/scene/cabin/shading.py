@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.shapes import Solid
 from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
@@ -39,7 +40,7 @@ def to_surface(solid: Solid, label: str, material: str, crease: float = CREASE) 
     cosine = np.sum(to_next * to_last, axis=-1) / np.maximum(
         np.linalg.norm(to_next, axis=-1) * np.linalg.norm(to_last, axis=-1), 1e-30
     )
-    weight = np.arccos(np.clip(cosine, -1, 1)).reshape(-1)
+    weight = rp.arccos(np.clip(cosine, -1, 1)).reshape(-1)
 
     order = np.argsort(corner_vertex, kind="stable")
     counts = np.bincount(corner_vertex, minlength=len(vertices))
@@ -50,7 +51,7 @@ def to_surface(solid: Solid, label: str, material: str, crease: float = CREASE) 
     within = np.arange(len(first)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
     second = order[np.repeat(starts[corner_vertex[order]], repeats) + within]
     n_first, n_second = unit[corner_face[first]], unit[corner_face[second]]
-    near = np.einsum("ij,ij->i", n_first, n_second) > np.cos(crease)
+    near = np.einsum("ij,ij->i", n_first, n_second) > rp.cos(crease)
     at, pull = first[near], n_second[near] * weight[second[near], None]
     total = np.stack([np.bincount(at, pull[:, k], minlength=len(corner_vertex)) for k in range(3)], axis=1)
     length = np.linalg.norm(total, axis=1, keepdims=True)

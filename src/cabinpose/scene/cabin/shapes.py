@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cabinpose.core import Floats, Ints, Ints32, axis_rotation
+from cabinpose.core import reproducible as rp
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,14 @@ class Solid:
     def moved(self, a_from_b: ArrayLike) -> Solid:
         """The solid in frame a, by a rigid 4x4 transform."""
         m = np.asarray(a_from_b, dtype=np.float64)
-        return Solid(self.vertices @ m[:3, :3].T + m[:3, 3], self.faces)
+        return Solid(rp.matmul(self.vertices, m[:3, :3].T) + m[:3, 3], self.faces)
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Solid:
         return Solid(self.vertices + (x, y, z), self.faces)
 
     def turned(self, axis: str, angle: float) -> Solid:
         """The solid turned about a coordinate axis through the origin, right-handed, radians."""
-        return Solid(self.vertices @ axis_rotation(axis, angle).T, self.faces)
+        return Solid(rp.matmul(self.vertices, axis_rotation(axis, angle).T), self.faces)
 
     def deformed(self, bend: Callable[[Floats], Floats]) -> Solid:
         """The solid with its vertices (V, 3) moved by `bend`."""
@@ -71,7 +72,7 @@ def join(solids: Sequence[Solid]) -> Solid:
 def _axis_lattice(length: float, radius: float, cells: int, corner: int) -> Floats:
     """Coordinates along one edge of a rounded box: `corner` steps of even angle at each end, `cells` between."""
     half = length / 2
-    arc = radius * np.tan(np.linspace(-np.pi / 4, 0, corner + 1))  # on the face of the box; even in angle once projected
+    arc = radius * rp.tan(np.linspace(-np.pi / 4, 0, corner + 1))  # on the face of the box; even in angle once projected
     start = -half + radius + arc
     middle = np.linspace(-half + radius, half - radius, cells + 1)[1:-1]
     return np.concatenate((start, middle, -start[::-1]))
@@ -158,8 +159,8 @@ def path_frames(path: Floats, closed: bool, up: ArrayLike | None = None) -> tupl
     seed = np.asarray(up if up is not None else np.eye(3)[np.argmin(np.abs(tangent[0]))], dtype=np.float64)
     normals = np.empty_like(path)
     for k, t in enumerate(tangent):
-        seed = seed - t * float(seed @ t)
-        seed = seed / np.linalg.norm(seed)
+        seed = seed - t * float(rp.matmul(seed, t))
+        seed = seed / rp.norm(seed)
         normals[k] = seed
     return tangent, normals, np.cross(tangent, normals)
 
@@ -175,8 +176,8 @@ def sweep(path: ArrayLike, sections: ArrayLike, *, closed: bool = False, up: Arr
 def ellipse(a: ArrayLike, b: ArrayLike, sides: int, power: float = 2.0) -> Floats:
     """Superellipses (..., sides, 2) with half axes a, b (m); power 2 is an ellipse, more is squarer."""
     t = 2 * np.pi * np.arange(sides) / sides
-    c, s = np.cos(t), np.sin(t)
-    unit = np.stack((np.sign(c) * np.abs(c) ** (2 / power), np.sign(s) * np.abs(s) ** (2 / power)), axis=-1)
+    c, s = rp.cos(t), rp.sin(t)
+    unit = np.stack((np.sign(c) * rp.power(np.abs(c), 2 / power), np.sign(s) * rp.power(np.abs(s), 2 / power)), axis=-1)
     half = np.stack((np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)), axis=-1)
     return np.asarray(unit * half[..., None, :])
 
@@ -187,7 +188,7 @@ def tube(path: ArrayLike, radius: float | Sequence[float], sides: int = 8, *, ro
     r = np.broadcast_to(np.asarray(radius, dtype=np.float64), len(p)).copy()
     if rounded:
         first, last = p[0] - p[1], p[-1] - p[-2]
-        first, last = first / np.linalg.norm(first) * r[0], last / np.linalg.norm(last) * r[-1]
+        first, last = first / rp.norm(first) * r[0], last / rp.norm(last) * r[-1]
         p = np.concatenate(([p[0] + 0.9 * first, p[0] + 0.55 * first], p, [p[-1] + 0.55 * last, p[-1] + 0.9 * last]))
         r = np.concatenate(([r[0] * 0.4, r[0] * 0.84], r, [r[-1] * 0.84, r[-1] * 0.4]))
     return sweep(p, ellipse(r, r, sides))

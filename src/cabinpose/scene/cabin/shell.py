@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.layout import WALL, Layout
 from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
@@ -48,7 +49,7 @@ def _door_trim(style: str, s: Floats, t: Floats) -> Floats:
     if style == "plain":
         trim = 0.006 + 0.030 * smoothstep(0.30 - t, 0.0, 0.06)
     elif style == "pocket":
-        trim = 0.045 * smoothstep(0.34 - t, 0.0, 0.10) + 0.012 * np.sin(np.pi * t) ** 2
+        trim = 0.045 * smoothstep(0.34 - t, 0.0, 0.10) + 0.012 * rp.sin(np.pi * t) ** 2
     elif style == "sport":
         sweep_line = 0.40 + 0.28 * s
         trim = 0.040 * smoothstep(sweep_line - t, -0.10, 0.16)
@@ -57,7 +58,7 @@ def _door_trim(style: str, s: Floats, t: Floats) -> Floats:
     elif style == "wall":
         trim = 0.020 * smoothstep(0.5 - t, 0.0, 0.2)
     else:  # sweep
-        wave = 0.42 + 0.10 * np.sin(np.pi * (s - 0.15))
+        wave = 0.42 + 0.10 * rp.sin(np.pi * (s - 0.15))
         trim = 0.038 * smoothstep(wave - t, -0.05, 0.14) + 0.010 * smoothstep(t, 0.62, 0.80)
     return np.asarray(edge * trim + shoulder)
 
@@ -103,7 +104,7 @@ def _door_fittings(layout: Layout) -> list[Solid]:
             pocket = rounded_box((0.42, 0.11, 0.15), (0.07, 0.03, 0.03), (3, 1, 1), corner=1)
             solids.append(_on_door(layout, pocket, h[0] + ahead - 0.06, 0.17))
         if style in ("sweep", "sport"):
-            ring = 0.075 * np.stack([np.cos(np.arange(14) * np.pi / 7), np.sin(np.arange(14) * np.pi / 7)], axis=-1)
+            ring = 0.075 * np.stack([rp.cos(np.arange(14) * np.pi / 7), rp.sin(np.arange(14) * np.pi / 7)], axis=-1)
             rings = [
                 np.stack((r * ring[:, 0], np.full(14, y), r * ring[:, 1]), axis=-1)
                 for r, y in ((1, 0.03), (1, -0.024), (0.8, -0.030))
@@ -166,7 +167,7 @@ def doors(layout: Layout) -> list[Part]:
         return np.minimum(layout.backlight_x(z), layout.c_pillar_x(z) - 0.06)
 
     x, z, s, _ = _upper_grid(layout, layout.c_pillar_x, backlight, (6, 6))
-    inset = 0.012 + 0.03 * np.sqrt(np.clip(np.sin(np.pi * np.clip(s, 0.0, 0.5)), 0, 1))
+    inset = 0.012 + 0.03 * np.sqrt(np.clip(rp.sin(np.pi * np.clip(s, 0.0, 0.5)), 0, 1))
     add("C-pillar", _side_patch(layout, x, z, inset), material="soft_trim")
 
     x = np.linspace(layout.header_x + 0.03, layout.roof_end_x, 10)
@@ -187,7 +188,7 @@ def floor(layout: Layout) -> list[Part]:
         side_view = np.array([(layout.back_x, 0.0), (layout.cowl_x + 0.02, 0.0)])
     else:
         up = 0.30
-        bend = (toe + up * np.cos(angle), up * np.sin(angle))
+        bend = (toe + up * rp.cos(angle), up * rp.sin(angle))
         side_view = np.array([(layout.back_x, 0.0), (toe, 0.0), bend, (layout.firewall_x + 0.06, layout.cowl_z)])
     lengths = np.linalg.norm(np.diff(side_view, axis=0), axis=1)
     cells = np.maximum(np.round(lengths / 0.16).astype(int), 2)
@@ -225,7 +226,7 @@ def roof(layout: Layout) -> list[Part]:
     parts = [Part("headlining", to_surface(slab(inner, inner + (0, 0, WALL)), "trim", "headliner"))]
     parts.append(Part("windscreen", to_surface(_end_glass(layout, front=True), "glass", "glass")))
     parts.append(Part("backlight", to_surface(_end_glass(layout, front=False), "glass", "glass")))
-    seat_top_x = layout.h_rear[0] - 0.16 - 0.42 * np.sin(layout.torso_2)
+    seat_top_x = layout.h_rear[0] - 0.16 - 0.42 * rp.sin(layout.torso_2)
     if layout.d.door_style != "upright" and not layout.facing and seat_top_x - 0.05 > layout.shelf_end_x:
         x = np.linspace(seat_top_x, layout.shelf_end_x - 0.02, 6)
         xg, vg = np.meshgrid(x, np.linspace(-1, 1, 9), indexing="ij")
@@ -240,7 +241,7 @@ def roof(layout: Layout) -> list[Part]:
 
 def _end_wall(layout: Layout, name: str, x: float, outward: float) -> Part:
     zg, vg = np.meshgrid(np.linspace(-0.03, layout.belt_z + 0.03, 6), np.linspace(-1, 1, 9), indexing="ij")
-    xg = np.full_like(zg, x) - outward * 0.05 * vg**4
+    xg = np.full_like(zg, x) - outward * 0.05 * rp.power(vg, 4)
     y = vg * (layout.half_width(xg, zg) + 0.02)
     inner = np.stack((xg, y, zg), axis=-1)
     return Part(name, to_surface(slab(inner, inner + (outward * WALL, 0, 0)), "trim", "hard_plastic"))
@@ -262,7 +263,7 @@ def _end_glass(layout: Layout, front: bool) -> Solid:
         x = line - way * 0.09 * v**2 * (1 - 0.6 * t)
         y = v * (layout.half_width(x, z) + 0.01)
     inner = np.stack((x, y, z), axis=-1)
-    normal = np.array([way, 0.0, slope]) / np.hypot(1.0, slope)
+    normal = np.array([way, 0.0, slope]) / rp.hypot(1.0, slope)
     return slab(inner, inner + WALL * normal)
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
 from cabinpose.core import Bools, ConfigError, Floats, Floats32, Ints, Ints32, Matrix, apply, invert
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.contact.pairs import SOLIDS
 from cabinpose.scene.contact.solids import PosedSolids, SolidContact
 from cabinpose.scene.contact.triangles import TriangleMesh, edge_keys, sampled_surface, triangle_mesh
@@ -35,7 +36,7 @@ FINE_STEP_M = 0.005  # grid step of the wheel, whose rim is 30 mm thick
 QUANTUM_M = 0.00075
 BAND_M = 127 * QUANTUM_M
 SEAL_M = 0.020  # gaps of the interior narrower than twice this count as closed
-SHARP = math.cos(math.radians(30.0))  # edges that bend more than this are probed as edges
+SHARP = rp.cos(math.radians(30.0))  # edges that bend more than this are probed as edges
 PROBE_M = 0.015  # spacing of probes along sharp edges of hard parts
 SOFT_PROBE_M = 0.040  # and over soft ones
 FEW = 16  # points measured of a contact that is certain
@@ -347,7 +348,7 @@ class PlacedField:
         for field, vehicle_from_group in added:
             half = (np.array(field.values.shape) - 1) * field.step / 2.0
             centre = apply(vehicle_from_group, (field.origin + half)[None])[0]
-            reach = np.abs(vehicle_from_group[:3, :3]) @ half
+            reach = rp.matmul(np.abs(vehicle_from_group[:3, :3]), half)
             low.append(centre - reach)
             high.append(centre + reach)
             groups.append((field, vehicle_from_group, invert(vehicle_from_group)))

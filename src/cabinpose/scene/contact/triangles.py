@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cabinpose._native import contact as native
 from cabinpose.core import Floats, Ints, Ints32, distinct_rows
+from cabinpose.core import reproducible as rp
 
 _WELD_M = 1e-5  # vertices closer than this are one: parts come with a vertex per face corner for hard shading
 CELL_M = 0.03  # cell of the search grid, about the size of a cabin triangle
@@ -105,7 +106,7 @@ def _pseudo_normals(corners: Floats, faces: Ints32, count: int) -> Floats:
     towards_next = np.roll(corners, -1, axis=1) - corners
     towards_next /= np.maximum(np.linalg.norm(towards_next, axis=2, keepdims=True), 1e-30)
     cosine = -(towards_next * np.roll(towards_next, 1, axis=1)).sum(axis=2)
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    angle = rp.arccos(np.clip(cosine, -1.0, 1.0))
     vertex = np.zeros((count, 3))
     np.add.at(vertex, faces, angle[..., None] * face[:, None])
     _, edge_of = np.unique(edge_keys(faces, count), return_inverse=True)
@@ -123,7 +124,7 @@ def sampled_surface(corners: Floats, spacing: float) -> Floats:
     for n in np.unique(pieces):
         i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
         weights = np.stack((n - i - j, i, j), axis=1) / n
-        points.append((weights @ corners[pieces == n]).reshape(-1, 3))
+        points.append((rp.matmul(weights, corners[pieces == n])).reshape(-1, 3))
     every = np.concatenate(points)
     first, _ = welded(every)
     # In order of place: the nearest triangle of one point is then a good guess for the next.
@@ -160,7 +161,7 @@ def first_crossings(starts: Floats, ends: Floats, triangles: Floats) -> tuple[Fl
             from_corner = start - corner
             u = np.einsum("ij,ij->i", from_corner, p) / determinant
             q = np.cross(from_corner, one)
-            v = (q @ way) / determinant
+            v = (rp.matmul(q, way)) / determinant
             t = np.einsum("ij,ij->i", two, q) / determinant
             inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1)
         hits = np.flatnonzero(inside)

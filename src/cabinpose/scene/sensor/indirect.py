@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cabinpose._native import sensor as native
 from cabinpose.core import Floats32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.sensor.buffers import GeometryBuffers
 from cabinpose.scene.sensor.optics import lens_maps
 from cabinpose.scene.sensor.presets import Sensor
@@ -47,8 +48,8 @@ def _light(sensor: Sensor, falloff: bool) -> tuple[Floats32, Floats32, Floats32,
     maps, rays = lens_maps(sensor, 1), sensor.camera.rays
     illumination = maps.illumination if falloff else np.ones_like(maps.illumination)
     (xv, yv), (xu, yu) = (np.moveaxis(np.gradient(rays, axis=axis), -1, 0) for axis in (0, 1))
-    solid_angle = np.abs(xu * yv - xv * yu) / maps.range_over_depth.astype(np.float64) ** 3
-    step = max(1, round((solid_angle.size / CELLS) ** 0.5))
+    solid_angle = np.abs(xu * yv - xv * yu) / rp.power(maps.range_over_depth.astype(np.float64), 3)
+    step = max(1, round(np.sqrt(solid_angle.size / CELLS)))
     padding = [(0, -n % step) for n in solid_angle.shape]
     flux = np.pad(np.nan_to_num(illumination * solid_angle), padding)
     cells = flux.reshape(flux.shape[0] // step, step, -1, step).sum(axis=(1, 3))

@@ -17,6 +17,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from cabinpose.core import Bools, Floats32, Registry
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.presets import Sensor
 
@@ -143,7 +144,7 @@ def smoothed(depth: Floats32, sensor: Sensor) -> Floats32:
     for neighbour in beside:
         weight = np.isfinite(neighbour).astype(np.float32)
         if sensor.spatial_filter == "bilateral":
-            weight = np.nan_to_num(np.exp(-0.5 * ((neighbour - depth) / np.float32(_EDGE_M)) ** 2))
+            weight = np.nan_to_num(rp.exp(-0.5 * ((neighbour - depth) / np.float32(_EDGE_M)) ** 2))
         weights += weight
         total += weight * np.nan_to_num(neighbour)
     with np.errstate(invalid="ignore"):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Bools, Camera, Floats32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.materials import MATERIALS
 from cabinpose.scene.sensor.buffers import in_parts
 from cabinpose.scene.sensor.presets import Sensor
@@ -18,7 +19,7 @@ from cabinpose.scene.sensor.presets import Sensor
 # than white; a peak of 300 over a lobe of two degrees saturates a spot of a few pixels, as it does in real images.
 _PANE_DIFFUSE = 0.004
 _PANE_SPECULAR = 300.0
-GLOSS_WIDTH = float(1.0 - np.cos(np.radians(2.0)))
+GLOSS_WIDTH = float(1.0 - rp.cos(np.radians(2.0)))
 # Mean reflectance of what lies outside a window, seen by daylight alone.
 _OUTSIDE_REFLECTANCE = 0.3
 
@@ -71,12 +72,12 @@ def lens_maps(sensor: Sensor, supersample: int) -> LensMaps:
     rows, columns = np.mgrid[: camera.height, : camera.width]
     field = np.isfinite(centre)
     if sensor.field_radius_px is not None:
-        field &= np.hypot(columns - camera.cx, rows - camera.cy) < sensor.field_radius_px
+        field &= rp.hypot(columns - camera.cx, rows - camera.cy) < sensor.field_radius_px
     return LensMaps(
         centre,
         in_parts(centre if supersample == 1 else _factor(camera.scaled(supersample)), supersample),
-        (cosine**sensor.vignetting_exponent).astype(np.float32),
-        (cosine**sensor.illumination_exponent).astype(np.float32),
+        (rp.power(cosine, sensor.vignetting_exponent)).astype(np.float32),
+        (rp.power(cosine, sensor.illumination_exponent)).astype(np.float32),
         field,
     )
 

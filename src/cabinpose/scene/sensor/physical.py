@@ -19,6 +19,7 @@ from pydantic import Field
 
 from cabinpose._native import sensor as native
 from cabinpose.core import Bools, ConfigError, Floats, Floats32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.indirect import indirect_light
 from cabinpose.scene.sensor.noise import EdgeRule, invalidate
@@ -144,7 +145,7 @@ class PhysicalNoise(EdgeRule):
         if self.low_amplitude and self.low_amplitude_spread > 0:
             height, width = buffers.shape
             ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)[:, :width]
-            floor = sensor.min_amplitude_e * np.exp(self.low_amplitude_spread * normal_quantiles()[ranks])
+            floor = sensor.min_amplitude_e * rp.exp(self.low_amplitude_spread * normal_quantiles()[ranks])
             invalidate(frame, frame.amplitude < floor)
         if self.fixed_pattern_mm > 0 or self.fixed_pattern_gain > 0:
             _add_fixed_pattern(frame, camera, self)

@@ -7,6 +7,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from cabinpose.core import ConfigError, Matrix, is_rigid, look_at, rotation_vector, transform
+from cabinpose.core import reproducible as rp
 
 _STRAIGHT = 1e-3  # sine of the angle to the vertical below which "up" is the vehicle's forward
 
@@ -21,10 +22,10 @@ def place_camera(
     """
     eye_, target_ = np.asarray(eye, dtype=np.float64), np.asarray(target, dtype=np.float64)
     forward = target_ - eye_
-    length = float(np.linalg.norm(forward))
+    length = rp.norm(forward)
     if not length > 1e-6:
         raise ConfigError("the camera's eye and target coincide", hint="give a target at least a millimetre away")
-    vertical = np.hypot(forward[0], forward[1]) < _STRAIGHT * length
+    vertical = rp.hypot(forward[0], forward[1]) < _STRAIGHT * length
     pose = look_at(eye_, target_, (1.0, 0.0, 0.0) if vertical else (0.0, 0.0, 1.0))
     return _jittered(pose, translation_jitter, rotation_jitter, rng)
 
@@ -52,4 +53,4 @@ def _jittered(pose: Matrix, translation_jitter: ArrayLike, rotation_jitter: Arra
     if not (translation.min() >= 0 and rotation.min() >= 0):
         raise ConfigError("camera jitter is negative", hint="give the half width of the jitter, 0 or more")
     draw = rng.uniform(-1.0, 1.0, 6)
-    return pose @ transform(rotation_vector(draw[3:] * rotation), draw[:3] * translation)
+    return rp.matmul(pose, transform(rotation_vector(draw[3:] * rotation), draw[:3] * translation))

@@ -10,6 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from cabinpose.core import Bools, Camera, Floats32
+from cabinpose.core import reproducible as rp
 
 _SLANT = 0.3  # least cosine between the beam and the surface that it is aimed at
 _SAME_SURFACE = 0.05  # share of the depth that a surface may slant within a column of what a light source sees
@@ -71,23 +72,25 @@ def sunlit(depth: Floats32, candidates: NDArray[np.bool_], camera: Camera, width
     top, left = max(v - 1, 0), max(u - 1, 0)
     normal = _normals(points[top : v + 2, left : u + 2])[v - top, u - left]
     aside = np.cross(normal, direction)
-    aside /= max(float(np.linalg.norm(aside)), 1e-9)
+    aside /= max(rp.norm(aside), 1e-9)
     to_sun = cosine * normal + np.sqrt(1 - cosine**2) * aside
     offset = points - points[v, u]
-    beside = np.einsum("hwk,hwk->hw", offset, offset) - (offset @ to_sun) ** 2  # squared distance from the beam's axis
+    beside = np.einsum("hwk,hwk->hw", offset, offset) - (rp.matmul(offset, to_sun)) ** 2  # squared distance from the beam's axis
     inside = candidates & (depth > 0) & (beside < (width_m / 2) ** 2)
     inside[v, u] = True  # whatever rounding says of it
     rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
     box = slice(max(rows[0] - 1, 0), rows[-1] + 2), slice(max(columns[0] - 1, 0), columns[-1] + 2)
     normals, offset = _normals(points[box])[inside[box]], offset[inside]
-    u_axis = aside - (aside @ to_sun) * to_sun
-    u_axis /= max(float(np.linalg.norm(u_axis)), 1e-9)
-    cells = np.stack([np.floor(offset @ axis / _CELL_M) for axis in (u_axis, np.cross(to_sun, u_axis))], axis=-1).astype(np.int64)
+    u_axis = aside - (rp.matmul(aside, to_sun)) * to_sun
+    u_axis /= max(rp.norm(u_axis), 1e-9)
+    cells = np.stack(
+        [np.floor(rp.matmul(offset, axis) / _CELL_M) for axis in (u_axis, np.cross(to_sun, u_axis))], axis=-1
+    ).astype(np.int64)
     cells -= cells.min(axis=0)
-    which = cells @ (1, int(cells[:, 0].max()) + 1)
-    height, first = offset @ to_sun, np.full(int(which.max()) + 1, -np.inf)
+    which = cells[:, 0] + cells[:, 1] * (int(cells[:, 0].max()) + 1)
+    height, first = rp.matmul(offset, to_sun), np.full(int(which.max()) + 1, -np.inf)
     np.maximum.at(first, which, height)
-    facing = np.maximum(normals @ to_sun, 0.0)
+    facing = np.maximum(rp.matmul(normals, to_sun), 0.0)
     rise = _CELL_M / np.maximum(facing, _LEAST_COSINE)  # of a slanted surface within a cell
     lit[inside] = np.where(height < first[which] - _DEEP_M - 1.5 * rise, 0.0, facing)
     return lit

@@ -15,6 +15,7 @@ from numpy.random import Generator
 from pydantic import Field
 
 from cabinpose._native import sensor as native
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.noise import CameraNoise
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
@@ -54,6 +55,6 @@ class StructuredLightNoise(CameraNoise):
     ) -> SensorFrame:
         """The amplitude is that of the geometry, without noise."""
         frame, ranks = SensorFrame.empty(buffers.shape), random_words(buffers.shape, rng=rng).view(np.uint16)
-        optics, grazing = surface_optics(sensor), float(np.cos(np.radians(self.grazing_deg)))
+        optics, grazing = surface_optics(sensor), float(rp.cos(np.radians(self.grazing_deg)))
         native.simulate_structured_light(buffers, optics, sensor, self, ranks, normal_quantiles(), frame, grazing_cosine=grazing)
         return frame

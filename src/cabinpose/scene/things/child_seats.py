@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.shapes import Solid, join, prism, rounded_box, slab, sweep, tube
 from cabinpose.scene.things.pieces import Kind, Piece, of_design, shell
 
@@ -75,9 +76,9 @@ def _hood(pivot: tuple[float, float], half_width: float, reach: float, low: floa
     def bows(shrink: float) -> Floats:
         turn = np.linspace(low, high, 7)[:, None]
         along = np.linspace(0.10, np.pi - 0.10, 13)[None]
-        out = (reach - shrink) * np.sin(along) ** 0.8
-        across = (half_width - shrink) * np.cos(along)
-        x, z = pivot[0] + np.cos(turn) * out, pivot[1] + np.sin(turn) * out
+        out = (reach - shrink) * rp.power(rp.sin(along), 0.8)
+        across = (half_width - shrink) * rp.cos(along)
+        x, z = pivot[0] + rp.cos(turn) * out, pivot[1] + rp.sin(turn) * out
         return np.stack((x, np.broadcast_to(across, x.shape), z), axis=-1)
 
     return slab(bows(0.0), bows(0.006)).outward()
@@ -92,9 +93,9 @@ def _infant(variant: int) -> tuple[Piece, ...]:
     turn = np.radians(78.0 if handle_up else 162.0)  # of the handle, above the car's forward: up, or put back over the feet
     pivot, reach, wide = np.array((0.330, 0.285)), 0.275 if handle_up else 0.300, 0.205
     bend = np.linspace(0.0, np.pi, 13)
-    out = reach * np.clip(1.35 * np.sin(bend), 0.0, 1.0)
-    across = wide * np.cos(bend)
-    handle = np.column_stack((pivot[0] + np.cos(turn) * out, across, pivot[1] + np.sin(turn) * out))
+    out = reach * np.clip(1.35 * rp.sin(bend), 0.0, 1.0)
+    across = wide * rp.cos(bend)
+    handle = np.column_stack((pivot[0] + rp.cos(turn) * out, across, pivot[1] + rp.sin(turn) * out))
     base = [(0.060, 0.0), (0.520, 0.0), (0.545, 0.060), (0.470, 0.130), (0.200, 0.105), (0.080, 0.120)]
     closed = np.radians(of_design(70.0, 112.0, variant, 3))
     pieces = (

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.shapes import Solid, join, rounded_box, smoothstep, tube
 from cabinpose.scene.things.pieces import Kind, Piece, of_design, standing_box, turned_body
 
@@ -28,14 +29,14 @@ def _bag(variant: int) -> tuple[Piece, ...]:
     def bend(p: Floats) -> Floats:
         x, y, z = p.T
         top = smoothstep(z, 0.0, high)
-        belly = 1.0 + 0.12 * np.sin(np.pi * np.clip(z / high, 0.0, 1.0)) * (1.0 - (2.0 * y / wide) ** 2)
+        belly = 1.0 + 0.12 * rp.sin(np.pi * np.clip(z / high, 0.0, 1.0)) * (1.0 - (2.0 * y / wide) ** 2)
         return np.stack((x * (1.0 - 0.62 * top) * belly, y * (1.0 - 0.14 * top), z), axis=-1)
 
     box = rounded_box((deep, wide, high), (0.030, 0.040, 0.025), (3, 6, 6), corner=2).shifted(0.0, 0.0, high / 2.0)
     arc = np.linspace(0.0, np.pi, 11)
     handles = [
         tube(
-            np.column_stack((np.full(11, s * 0.12 * deep), 0.26 * wide * np.cos(arc), high - 0.012 + 0.13 * np.sin(arc))),
+            np.column_stack((np.full(11, s * 0.12 * deep), 0.26 * wide * rp.cos(arc), high - 0.012 + 0.13 * rp.sin(arc))),
             0.006,
             6,
         )
@@ -56,7 +57,7 @@ def _backpack(variant: int) -> tuple[Piece, ...]:
     body = rounded_box((deep, wide, high), (0.06, 0.08, 0.07), (3, 4, 6), corner=2).shifted(0.0, 0.0, high / 2.0).deformed(bend)
     pocket = rounded_box((0.07, 0.74 * wide, 0.42 * high), (0.03, 0.05, 0.05), (1, 3, 3), corner=2)
     arc = np.linspace(0.0, np.pi, 9)
-    loop = tube(np.column_stack((np.full(9, -0.3 * deep), 0.035 * np.cos(arc), high - 0.012 + 0.045 * np.sin(arc))), 0.007, 6)
+    loop = tube(np.column_stack((np.full(9, -0.3 * deep), 0.035 * rp.cos(arc), high - 0.012 + 0.045 * rp.sin(arc))), 0.007, 6)
     straps = [
         tube([(-0.42 * deep, s * 0.075, 0.92 * high), (-0.56 * deep, s * 0.085, 0.72 * high),
               (-0.60 * deep, s * 0.10, 0.45 * high), (-0.45 * deep, s * 0.12, 0.14 * high)], 0.011, 6)

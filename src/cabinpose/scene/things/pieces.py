@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cabinpose.core import Floats, Registry
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.shapes import Solid, loft, rounded_box, slab, smooth_curve
 from cabinpose.scene.labels import THING_LABELS
 
@@ -98,7 +99,7 @@ def shell(
 def turned_body(outline: Sequence[tuple[float, float]], sides: int = 20) -> Solid:
     """A body turned about z, of (radius, height) m from its bottom to its top."""
     angle = 2.0 * np.pi * np.arange(sides) / sides
-    rings = [np.column_stack((r * np.cos(angle), r * np.sin(angle), np.full(sides, z))) for r, z in outline]
+    rings = [np.column_stack((r * rp.cos(angle), r * rp.sin(angle), np.full(sides, z))) for r, z in outline]
     return loft(np.stack(rings))
 
 

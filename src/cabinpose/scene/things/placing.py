@@ -10,6 +10,7 @@ import numpy as np
 
 from cabinpose._native import contact as native
 from cabinpose.core import Floats, Matrix, apply, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.model import Seat, SeatSetting
 from cabinpose.scene.contact.field import OUTSIDE, GroupField, PlacedField
 from cabinpose.scene.contact.triangles import TriangleMesh
@@ -42,7 +43,7 @@ def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float) 
     worst = Obstacle("", -math.inf)
     cloud = thing.thing.cloud
     for group, _, group_from_vehicle in placed.groups:
-        group_from_thing = group_from_vehicle @ thing.vehicle_from_thing
+        group_from_thing = rp.matmul(group_from_vehicle, thing.vehicle_from_thing)
         reach = group.give_m + group.bound_m
         index, clearance = native.points_below(*cloud, group_from_thing, group, threshold=reach, seal=group.bound_m)
         if not len(index):
@@ -125,9 +126,9 @@ def cushion_frame(seat: Seat, setting: SeatSetting) -> Matrix:
     """`vehicle_from_cushion`: origin where the free cushion meets the backrest, x forwards along the cushion, z off it."""
     recline, tilt = setting.torso_angle, seat.cushion_angle
     below, behind = seat.cushion_below_h_m, seat.backrest_behind_h_m
-    x = (below * math.sin(recline) - behind) / (math.cos(recline) + math.tan(tilt) * math.sin(recline))
-    corner = np.array((x, 0.0, x * math.tan(tilt) - below))
-    return np.asarray(seat.vehicle_from_seat(setting) @ transform(axis_rotation("y", -tilt), corner))
+    x = (below * rp.sin(recline) - behind) / (rp.cos(recline) + rp.tan(tilt) * rp.sin(recline))
+    corner = np.array((x, 0.0, x * rp.tan(tilt) - below))
+    return np.asarray(rp.matmul(seat.vehicle_from_seat(setting), transform(axis_rotation("y", -tilt), corner)))
 
 
 class Spot(NamedTuple):
@@ -169,11 +170,11 @@ def stand_on_seat(thing: Thing, seat: Seat, setting: SeatSetting, placed: Placed
     holders = [(felt(group, pressed_m), group_from) for group, _, group_from in own_groups or placed.groups]
 
     def at(x: float, z: float) -> Matrix:
-        return np.asarray(cushion @ transform(spot.turn, (x, spot.aside_m, z)))
+        return np.asarray(rp.matmul(cushion, transform(spot.turn, (x, spot.aside_m, z))))
 
     def free(x: float, z: float) -> bool:
         vehicle_from_thing = at(x, z)
-        return all(stands_free(group, thing.cloud, group_from @ vehicle_from_thing) for group, group_from in holders)
+        return all(stands_free(group, thing.cloud, rp.matmul(group_from, vehicle_from_thing)) for group, group_from in holders)
 
     turned = apply(transform(spot.turn), thing.cloud.points)
     low = turned.min(axis=0)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from cabinpose.core import reproducible as rp
 from cabinpose.core import unknown_name
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.actions import ACTIONS, IN_CHILD_SEAT, OWN_ACTIONS, inboard_side, suits
@@ -92,7 +92,7 @@ def steps_of(activity: str, seat: Seat, cabin: Cabin, hold: Hold | None = None) 
 
 def inboard_neighbour(seat: Seat, cabin: Cabin, taken: Iterable[str]) -> str | None:
     """The seat of whoever sits next to somebody, at the inboard hand; None where nobody does."""
-    ahead, left = math.cos(seat.facing_yaw), 1.0 - 2.0 * inboard_side(seat)
+    ahead, left = rp.cos(seat.facing_yaw), 1.0 - 2.0 * inboard_side(seat)
     row = [other for other in taken if beside_each_other(seat, cabin.seats[other])]
     away = {other: left * ahead * float(cabin.seats[other].design_h_point[1] - seat.design_h_point[1]) for other in row}
     return min((other for other in row if away[other] > 0.0), key=away.__getitem__, default=None)

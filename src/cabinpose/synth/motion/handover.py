@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cabinpose.core import CABINPOSE, Floats, Matrix, invert, rotation_vector
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.synth.posture.grasps import Hold, closed_around, hold, other_place
 from cabinpose.synth.posture.hands import palm_frame
@@ -26,7 +27,7 @@ def meeting_place(
     """
     giver, taker = (body.joints[CABINPOSE.index["lr"[s] + "shoulder"]] for body, s in zip(bodies, (side, 1 - side), strict=True))
     arm = min(sum(person.segment_lengths[name] for name in ("upper_arm", "forearm")) for person in people)
-    across = 0.5 * float(np.linalg.norm(giver - taker))
+    across = 0.5 * rp.norm(giver - taker)
     forwards = math.sqrt(max((_STRETCHED * arm) ** 2 - across**2 - _BELOW_M**2, _LEAST_AHEAD_M**2))
     return np.asarray(0.5 * (giver + taker) + forwards * ahead - (0.0, 0.0, _BELOW_M) + _SIGMA_M * rng.standard_normal(3))
 
@@ -48,9 +49,9 @@ def taking_palm(person: Person, body: PosedBody, held: Hold, vehicle_from_thing:
 def _palm(held: Hold, body: PosedBody, place: Floats, up: Floats, off_m: float) -> Matrix:
     """A palm whose thing, round about `up`, has its origin at `place`; fingers away from the shoulder, to the neighbour."""
     away = place - body.joints[CABINPOSE.index["lr"[held.side] + "shoulder"]]
-    away = away - (away @ up) * up
+    away = away - (rp.matmul(away, up)) * up
     left = 1.0 - 2.0 * held.side
-    away = rotation_vector(left * _TOWARDS * up) @ away
+    away = rp.matmul(rotation_vector(left * _TOWARDS * up), away)
     thumb = left * up
     palm = palm_frame(np.zeros(3), np.cross(away, thumb), away)
     palm[:3, 3] = place - held.placed(palm)[:3, 3] - off_m * palm[:3, 2]
@@ -60,4 +61,4 @@ def _palm(held: Hold, body: PosedBody, place: Floats, up: Floats, off_m: float) 
 def taken_over(held: Hold, vehicle_from_thing: Matrix, person: Person, body: PosedBody) -> Hold | None:
     """How somebody holds from now on what another one's hand held; None where the hand does not close around it."""
     side = 1 - held.side
-    return closed_around(person, held, invert(body.palms["lr"[side]]) @ vehicle_from_thing, side)
+    return closed_around(person, held, rp.matmul(invert(body.palms["lr"[side]]), vehicle_from_thing), side)

@@ -16,6 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOFS
 
 PEAK = 1.875  # greatest speed over mean speed
@@ -44,7 +45,7 @@ FASTEST.flags.writeable = False
 def progress(share: Floats) -> Floats:
     """How far a movement is, 0..1, after a share of its duration (any shape; held at the ends)."""
     t = np.clip(share, 0.0, 1.0)
-    return np.asarray(t**3 * (10.0 + t * (6.0 * t - 15.0)))
+    return np.asarray(rp.power(t, 3) * (10.0 + t * (6.0 * t - 15.0)))
 
 
 def progress_rate(share: Floats) -> Floats:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cabinpose.core import CABINPOSE, Floats, Matrix, axis_rotation, invert, nearest_rigid, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
@@ -145,7 +146,7 @@ class Planner:
     ) -> None:
         self._who, self._around, self._attempts, self._rng, self._lasts_s = who, around, attempts, rng, lasts_s
         sigma, low, high = _TEMPO
-        self._tempo = float(np.clip(np.exp(sigma * rng.standard_normal()), low, high))
+        self._tempo = float(np.clip(rp.exp(sigma * rng.standard_normal()), low, high))
         self.tried = 0
         self.time_s = 0.0
         self._now: _Goal | None = None
@@ -268,7 +269,7 @@ class Planner:
         people, at_s = (self._who.person, other._who.person), other.time_s
         seat, (side, free) = self._around.cabin.seats[self._who.slot], (held.side, 1 - held.side)
         bodies = people[0].pose(now[0].pose.q, now[0].pose.root), people[1].pose(now[1].pose.q, now[1].pose.root)
-        ahead = np.array([np.cos(seat.facing_yaw), np.sin(seat.facing_yaw), 0.0])
+        ahead = np.array([rp.cos(seat.facing_yaw), rp.sin(seat.facing_yaw), 0.0])
         place = meeting_place(people, bodies, side, ahead, rng=self._rng)
         gives = self._goal(Step("hand_over"), now[0], at_s, self._habit, Reach(place, side, giving_palm(held, bodies[0], place)))
         way = gives and self._brought(gives, now[0], interior, at_s, "hand_over")
@@ -342,8 +343,8 @@ class Planner:
         if wheel is None or self._who.slot != "driver":
             return False, False
         palms = self._who.person.pose(pose.q, pose.root).palms
-        local = [(invert(wheel.vehicle_from_wheel) @ palms[side])[:3, 3] for side in "lr"]
-        off = [float(np.hypot(np.hypot(p[0], p[1]) - wheel.rim_radius_m, p[2])) for p in local]
+        local = [(rp.matmul(invert(wheel.vehicle_from_wheel), palms[side]))[:3, 3] for side in "lr"]
+        off = [float(rp.hypot(rp.hypot(p[0], p[1]) - wheel.rim_radius_m, p[2])) for p in local]
         return off[0] < _AT_RIM_M, off[1] < _AT_RIM_M
 
     def _goal(self, step: Step, now: _Goal, time_s: float, number: int, reach: Reach | None = None) -> _Goal | None:
@@ -422,10 +423,10 @@ class Planner:
         palm = [self._who.person.pose(pose.q, pose.root).palms["lr"[side]] for pose in ends]
         if before and after and wheel is not None:
             angles = now.pose.wheel_angle, goal.pose.wheel_angle, between.wheel_angle
-            hub = [wheel.vehicle_from_wheel @ transform(axis_rotation("z", angle)) for angle in angles]
-            first, last = invert(hub[0]) @ palm[0], invert(hub[1]) @ palm[1]
-            if float(np.linalg.norm(first[:3, 3] - last[:3, 3])) < _HELD_M:
-                return hub[2] @ _mixed(first, last, share)
+            hub = [rp.matmul(wheel.vehicle_from_wheel, transform(axis_rotation("z", angle))) for angle in angles]
+            first, last = rp.matmul(invert(hub[0]), palm[0]), rp.matmul(invert(hub[1]), palm[1])
+            if rp.norm(first[:3, 3] - last[:3, 3]) < _HELD_M:
+                return rp.matmul(hub[2], _mixed(first, last, share))
         if (before and lets_go) or (after and arrives):
             off = palm[0].copy() if before and lets_go else palm[1].copy()
             off[:3, 3] -= _OFF_M * off[:3, 2]
@@ -437,7 +438,7 @@ class Planner:
         pose, who = goal.pose, self._who
         body = who.person.pose(pose.q, pose.root)
         palms = [body.palms[s] if goal.holds[hand] else None for hand, s in enumerate("lr")]
-        palms[side] = transform(None, by) @ body.palms["lr"[side]]
+        palms[side] = rp.matmul(transform(None, by), body.palms["lr"[side]])
         near = between(
             who.person, self._around.cabin.seats[who.slot], pose.q, pose.root, (palms[0], palms[1]),
             (body.soles["l"], body.soles["r"]), goal.holds,

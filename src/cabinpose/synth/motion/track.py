@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Matrix, rotation_vector, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, DOFS, LOWER, UPPER, Person, PosedBody
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, progress, progress_rate
@@ -100,13 +101,13 @@ class Idle(NamedTuple):
     def added(self, times_s: Floats, share: float) -> Floats:
         """(N, 51) what it adds to a state at times (N,); `share` of it all. The upper arms and the head stay level."""
         result = np.zeros((len(times_s), WIDTH))
-        breath = share * self.breath * np.sin(2.0 * np.pi * self.breath_hz * times_s + self.phases[0])
+        breath = share * self.breath * rp.sin(2.0 * np.pi * self.breath_hz * times_s + self.phases[0])
         result[:, DOF_INDEX["thorax.flexion"]] = breath
         result[:, DOF_INDEX["neck.flexion"]] = -breath
         for side in "lr":
             result[:, DOF_INDEX[side + "shoulder.flexion"]] = breath
         for name, phase in (("neck.rotation", self.phases[1]), ("neck.lateral", self.phases[2])):
-            result[:, DOF_INDEX[name]] += share * self.sway * np.sin(2.0 * np.pi * self.sway_hz * times_s + phase)
+            result[:, DOF_INDEX[name]] += share * self.sway * rp.sin(2.0 * np.pi * self.sway_hz * times_s + phase)
         return result
 
 
@@ -153,12 +154,12 @@ class Track:
 
     def state_of(self, pose: Pose) -> Floats:
         """(51,) the state of a pose."""
-        turned = _rotation_log(self._rotation.T @ pose.root[:3, :3])
+        turned = _rotation_log(rp.matmul(self._rotation.T, pose.root[:3, :3]))
         return np.concatenate((pose.q, pose.root[:3, 3], turned, [pose.wheel_angle]))
 
     def pose_of(self, state: Floats) -> Pose:
         """The pose of a state (51,), within the joints' limits."""
-        root = transform(self._rotation @ rotation_vector(state[ROOT][3:]), state[ROOT][:3])
+        root = transform(rp.matmul(self._rotation, rotation_vector(state[ROOT][3:])), state[ROOT][:3])
         return Pose(np.clip(state[:_Q], LOWER, UPPER), root, float(state[WHEEL]))
 
     def states(self, times_s: Floats) -> Floats:
@@ -195,6 +196,6 @@ class Track:
 def _rotation_log(rotation: Floats) -> Floats:
     """(3,) the rotation vector of a matrix; of turns well below half a one."""
     axis = 0.5 * np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    sine = float(np.linalg.norm(axis))
-    angle = float(np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)))
+    sine = rp.norm(axis)
+    angle = float(rp.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)))
     return axis * (angle / sine if sine > 1e-12 else 1.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from cabinpose.core import Floats
+from cabinpose.core import reproducible as rp
 from cabinpose.synth.pictures.grid import Grid, Hits
 
 _STEPS = 1, 2, 4, 8  # px between taps
@@ -39,7 +40,7 @@ def denoised(fine: Floats, albedo: Floats, found: Hits, grid: Grid) -> Floats:
     normal, depth = found.normal, found.depth_m.astype(np.float64)
     same = (grid.pixel >= 0) & (depth > 0) & (_unlike(normal, depth, normal[own], depth[own]) < 1.0)
     count = np.maximum(grid.total(same[:, None].astype(np.float64))[..., 0], 1.0)
-    luminance = light @ _LUMINANCE
+    luminance = rp.matmul(light, _LUMINANCE)
     sums = grid.total(np.where(same[:, None], np.column_stack((light, luminance, luminance**2)), 0.0)) / count[..., None]
     spread = np.maximum(sums[..., 4] - sums[..., 3] ** 2, 0.0) / np.maximum(count - 1.0, 1.0)
     filtered, normals, depths = sums[..., :3], normal[centre].reshape(*shape, 3), depth[centre].reshape(shape)
@@ -73,16 +74,16 @@ def _unlike(normal: Floats, depth: Floats, other_normal: Floats, other_depth: Fl
 
 
 def _once(light: Floats, spread: Floats, normal: Floats, depth: Floats, step: int) -> tuple[Floats, Floats]:
-    luminance = light @ _LUMINANCE
+    luminance = rp.matmul(light, _LUMINANCE)
     sigma = _OF_SIGMA * np.sqrt(_blurred(spread)) + 1e-6 + 1e-3 * luminance
     total, weights, second = np.zeros_like(light), np.zeros(depth.shape), np.zeros(depth.shape)
     for i, down in enumerate(range(-2, 3)):
         for j, across in enumerate(range(-2, 3)):
             other = [_shifted(a, down * step, across * step) for a in (light, spread, normal, depth, luminance)]
             there = other[3] > 0
-            facing = np.clip(np.einsum("ijk,ijk->ij", normal, other[2]), 0.0, 1.0) ** _NORMAL
-            apart = np.abs(other[3] - depth) / (_DEPTH * np.maximum(depth, 1e-3) * np.hypot(down, across) ** 0.5 * step + 1e-6)
-            weight = _KERNEL[i] * _KERNEL[j] * there * facing * np.exp(-apart - np.abs(other[4] - luminance) / sigma)
+            facing = rp.power(np.clip(np.einsum("ijk,ijk->ij", normal, other[2]), 0.0, 1.0), _NORMAL)
+            apart = np.abs(other[3] - depth) / (_DEPTH * np.maximum(depth, 1e-3) * np.sqrt(rp.hypot(down, across)) * step + 1e-6)
+            weight = _KERNEL[i] * _KERNEL[j] * there * facing * rp.exp(-apart - np.abs(other[4] - luminance) / sigma)
             if down == across == 0:
                 weight = np.full(depth.shape, _KERNEL[2] ** 2)
             total += weight[..., None] * other[0]

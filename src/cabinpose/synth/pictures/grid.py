@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from cabinpose.core import Bools, Camera, Floats, Floats32, Ints, Matrix, invert
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import MATERIALS, Surface
 from cabinpose.synth.render import Rasteriser
 
@@ -105,7 +106,7 @@ def hits(rasteriser: Rasteriser, surface: Surface, shown: Bools, world_from_came
     face[hit] = index[found[hit]]
     rotation, eye = np.asarray(world_from_camera)[:3, :3], np.asarray(world_from_camera)[:3, 3]
     rays = rasteriser.camera.rays.reshape(-1, 2)
-    direction = np.concatenate((rays, np.ones((len(rays), 1))), axis=1) @ rotation.T
+    direction = rp.matmul(np.concatenate((rays, np.ones((len(rays), 1))), axis=1), rotation.T)
     depth = frame.depth_clean.reshape(-1)
     point = eye + direction[hit] * depth[hit, None]
     a, b, c = (surface.vertices[surface.faces[face[hit], k]].astype(np.float64) for k in range(3))

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from cabinpose.core import Bools, Floats, Floats32
+from cabinpose.core import reproducible as rp
 from cabinpose.synth.pictures.look import linear
 
 LightKind = Literal["day", "night", "garage"]
@@ -46,8 +47,8 @@ class Light:
         """Radiance (..., 3) of the dome in directions (..., 3) of any length; that of the nearest of its points."""
         x, y, z = np.moveaxis(directions / np.linalg.norm(directions, axis=-1, keepdims=True), -1, 0)
         rows, columns = self.dome.shape[:2]
-        row = np.clip(np.arccos(np.clip(z, -1, 1)) / np.pi * rows, 0, rows - 1).astype(int)
-        column = (np.arctan2(-y, x) / (2 * np.pi) % 1.0 * columns).astype(int) % columns
+        row = np.clip(rp.arccos(np.clip(z, -1, 1)) / np.pi * rows, 0, rows - 1).astype(int)
+        column = (rp.arctan2(-y, x) / (2 * np.pi) % 1.0 * columns).astype(int) % columns
         return np.asarray(self.dome[row, column])
 
 
@@ -55,8 +56,8 @@ def dome_directions(rows: int, columns: int) -> Floats:
     """(rows, columns, 3) unit vectors: from the zenith down, from +x (forward) over -y (right) round."""
     polar, turn = np.pi * (np.arange(rows) + 0.5) / rows, 2 * np.pi * (np.arange(columns) + 0.5) / columns
     return np.stack(
-        (np.sin(polar)[:, None] * np.cos(turn), -np.sin(polar)[:, None] * np.sin(turn),
-         np.repeat(np.cos(polar)[:, None], columns, axis=1)), axis=-1,
+        (rp.sin(polar)[:, None] * rp.cos(turn), -rp.sin(polar)[:, None] * rp.sin(turn),
+         np.repeat(rp.cos(polar)[:, None], columns, axis=1)), axis=-1,
     )  # fmt: skip
 
 
@@ -69,20 +70,20 @@ def _day(_: Floats | None, rng: np.random.Generator) -> Light:
     elevation, azimuth = rng.uniform(12.0, 60.0), rng.uniform(-180.0, 180.0)
     clear = rng.random() < 0.65
     e, a = np.radians((elevation, azimuth))
-    towards = np.array((np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)))
-    warm = np.array((1.0, 0.96 - 0.25 * np.exp(-elevation / 12), 0.9 - 0.5 * np.exp(-elevation / 12)))
+    towards = np.array((rp.cos(e) * rp.cos(a), rp.cos(e) * rp.sin(a), rp.sin(e)))
+    warm = np.array((1.0, 0.96 - 0.25 * rp.exp(-elevation / 12), 0.9 - 0.5 * rp.exp(-elevation / 12)))
     power = rng.uniform(6.0, 14.0) * min(1.0, elevation / 30.0) * clear
     directions = dome_directions(*_DOME)
     up = np.clip(directions[..., 2], 0.0, 1.0)[..., None]
     if clear:
-        near_sun = np.clip(directions @ towards, 0.0, 1.0)[..., None]
-        sky = np.array((0.35, 0.62, 1.1)) * (0.9 - 0.45 * up**0.5) + np.array((0.75, 0.8, 0.85)) * (1 - up) ** 4
-        sky = sky + warm * (1.2 * near_sun**24 + 0.4 * near_sun**6)
+        near_sun = np.clip(rp.matmul(directions, towards), 0.0, 1.0)[..., None]
+        sky = np.array((0.35, 0.62, 1.1)) * (0.9 - 0.45 * np.sqrt(up)) + np.array((0.75, 0.8, 0.85)) * rp.power(1 - up, 4)
+        sky = sky + warm * (1.2 * rp.power(near_sun, 24) + 0.4 * rp.power(near_sun, 6))
     else:
         sky = np.array((1.15, 1.2, 1.25)) * (0.55 + 0.75 * up)
     sun = towards, warm * power
     dome = _street(directions, sky, np.array((2.2, 2.4, 2.7)), sun, _unlit, rng)
-    ground = float((2.5 + power * np.sin(e)) / np.pi)  # radiance of white ground
+    ground = float((2.5 + power * rp.sin(e)) / np.pi)  # radiance of white ground
     words = f"sun {elevation:.0f} degrees high, {azimuth:.0f} to the left of ahead" if clear else "overcast"
     return Light("day", words, dome.astype(np.float32), sun if clear else None, infrared=1.0 / ground)
 
@@ -103,8 +104,8 @@ def _night(glow: Floats | None, rng: np.random.Generator) -> Light:
     for side in (-5.0, 5.0):
         for x in np.arange(-66.0, 67.0, 22.0) - shift:
             place = np.array((x, side, 5.0))
-            distance = np.linalg.norm(place)
-            near = directions @ (place / distance) > np.cos(max(0.28 / float(distance), 0.008))
+            distance = rp.norm(place)
+            near = rp.matmul(directions, place / distance) > rp.cos(max(0.28 / float(distance), 0.008))
             dome[near] = 30.0 * warm
     lamps = []
     inside = "dark inside"
@@ -135,7 +136,7 @@ def _garage(glow: Floats | None, rng: np.random.Generator) -> Light:
     colour[floor & (np.abs(y) > 2.0) & ((x + 40.0) % 2.6 < 0.12)] = 0.6
     along = np.where(axis == 0, y, x)
     colour[wall & ((along + 40.0) % 5.0 < 0.45)] = (0.42, 0.42, 0.40)  # pillars
-    shade = 0.75 + 0.25 * np.cos(x * 1.3) * (z > 0) - 0.25 * floor
+    shade = 0.75 + 0.25 * rp.cos(x * 1.3) * (z > 0) - 0.25 * floor
     dome = colour * shade[..., None]
     strip = rng.uniform(1.6, 2.6)
     lamp = ceiling & (np.abs(np.abs(y) - strip) < 0.12) & ((x + 40.0) % 3.0 < 1.5)
@@ -171,9 +172,9 @@ def _street(
         at = d[where] * distance[where][:, None]
         light = ambient * (0.5 + 0.5 * normal[..., 2:]) + lamps(at)
         if sun is not None:
-            light = light + np.clip(normal @ sun[0], 0.0, 1.0)[..., None] * sun[1]
+            light = light + np.clip(rp.matmul(normal, sun[0]), 0.0, 1.0)[..., None] * sun[1]
         radiance = colour * grain[where] * light / np.pi + emitted
-        clear = np.exp(-distance[where] / _HAZE_M)[:, None]
+        clear = rp.exp(-distance[where] / _HAZE_M)[:, None]
         dome[where] = radiance * clear + haze * (1.0 - clear)
 
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -215,11 +216,11 @@ def _houses(x: Floats, z: Floats, night: bool, rng: np.random.Generator) -> _Pai
 def _trees(x: Floats, z: Floats, _: bool, rng: np.random.Generator) -> _Painted:
     gap, start = rng.uniform(7.0, 14.0), rng.uniform(0.0, 7.0)
     along = (x + start + 400.0) % gap - gap / 2
-    ragged = 0.25 * np.sin(9.0 * x + 4.0 * z) + 0.2 * np.sin(23.0 * x - 17.0 * z)
+    ragged = 0.25 * rp.sin(9.0 * x + 4.0 * z) + 0.2 * rp.sin(23.0 * x - 17.0 * z)
     crown = (along / 2.2) ** 2 + ((z - 2.6) / 1.9) ** 2 + ragged < 1.0
     trunk = (np.abs(along) < 0.16) & (z < 1.5)
     green = linear(int(rng.choice((0x4F6B35, 0x5E7440, 0x3F5A38, 0x7C7A3E))))
-    dapple = 0.7 + 0.5 * np.sin(31.0 * x + 5.0) * np.sin(29.0 * z)
+    dapple = 0.7 + 0.5 * rp.sin(31.0 * x + 5.0) * rp.sin(29.0 * z)
     colour = np.where(crown[..., None], green * dapple[..., None], linear(0x4A3B2E))
     return crown | trunk, colour, np.zeros(colour.shape)
 

@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import Bools, Floats, Floats32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIAL_ID as MATERIAL
 from cabinpose.scene import MATERIALS, Surface
@@ -61,7 +62,7 @@ _FEET = (LABEL["foot_left"], LABEL["foot_right"])
 def linear(srgb: int) -> Floats:
     """A colour 0xRRGGBB as linear light (3,), 0..1 (IEC 61966-2-1)."""
     value = np.array((srgb >> 16, srgb >> 8 & 255, srgb & 255)) / 255.0
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return np.where(value <= 0.04045, value / 12.92, rp.power((value + 0.055) / 1.055, 2.4))
 
 
 def near_infrared(surface: Surface) -> Floats32:
@@ -114,7 +115,7 @@ def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:
     skin = np.array([np.interp(at, np.arange(len(_SKIN)), tones[:, k]) for k in range(3)]) * _BLOOD
     hair = _weighted(_HAIR if at < 5 else _HAIR[:2], rng)
     grey = float(np.clip((person.phenotype.years - 40.0) / 35.0 + rng.normal(0, 0.2), 0.0, 1.0))
-    hair = hair + grey**1.5 * (linear(_GREY_HAIR) - hair)
+    hair = hair + rp.power(grey, 1.5) * (linear(_GREY_HAIR) - hair)
     top, bottom, shoe, cap = (
         linear(int(rng.choice(table)))
         for table in (
@@ -145,7 +146,7 @@ def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:
 
 def _paint_face(colours: Floats, middle: Floats, person: Person, skin: Floats, hair: Floats, bare: Bools) -> None:
     """Eyes, brows, lips and a blush, placed by the distance between the eyes and the skin's profile."""
-    scale = (person.stature_m / 1.75) ** 0.5  # heads vary less than statures
+    scale = np.sqrt(person.stature_m / 1.75)  # heads vary less than statures
     at = (middle - person.eyes_rest) / scale
     x, y, z = at[:, 0], np.abs(at[:, 1]), at[:, 2]
     face = bare & (x > -0.03) & (np.abs(z) < 0.14)

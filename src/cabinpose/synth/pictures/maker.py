@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import Bytes, Floats, Floats32
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import Surface
 from cabinpose.scene.sensor import Sensor, lens_maps
 from cabinpose.synth.pictures.denoise import denoised
@@ -106,15 +107,15 @@ def develop(radiance: Floats, key: float) -> Bytes:
     The exposure brings the mean of what is not far brighter than the rest, the people rather than the windows, to `key`; the
     curve is that of Reinhard et al. 2002, whose white is the brightest hundredth.
     """
-    luminance = radiance @ _LUMINANCE
+    luminance = rp.matmul(radiance, _LUMINANCE)
     lit = luminance[luminance > 0]
     if not lit.size:
         return np.zeros(radiance.shape, np.uint8)
     exposed = radiance * (key / np.minimum(lit, 4.0 * np.median(lit)).mean())
-    level = exposed @ _LUMINANCE
+    level = rp.matmul(exposed, _LUMINANCE)
     white = np.clip(np.quantile(level, 0.99), 1.5, 12.0)
     value = np.clip(exposed * ((1.0 + level / white**2) / (1.0 + level))[..., None], 0.0, 1.0)
-    srgb = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    srgb = np.where(value <= 0.0031308, 12.92 * value, 1.055 * rp.power(value, 1 / 2.4) - 0.055)
     return np.asarray((255.0 * srgb).round(), np.uint8)
 
 
@@ -138,8 +139,8 @@ def _glow(scene: Scene) -> Floats | None:
 
 def _infrared(light: Light) -> Light:
     """The light at 850 nm, in radiance of white by the camera's own light from 1 m."""
-    grey = (light.dome @ _LUMINANCE.astype(np.float32) * np.float32(light.infrared))[..., None].repeat(3, axis=-1)
-    sun = None if light.sun is None else (light.sun[0], np.full(3, light.sun[1] @ _LUMINANCE * light.infrared))
+    grey = (rp.matmul(light.dome, _LUMINANCE.astype(np.float32)) * np.float32(light.infrared))[..., None].repeat(3, axis=-1)
+    sun = None if light.sun is None else (light.sun[0], np.full(3, rp.matmul(light.sun[1], _LUMINANCE) * light.infrared))
     return Light(light.kind, light.words, grey, sun, own=1.0)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import Bools, Camera, Floats, Floats32, Matrix, optional_module
+from cabinpose.core import reproducible as rp
 from cabinpose.scene import Surface
 from cabinpose.synth.pictures.grid import without_panes
 from cabinpose.synth.pictures.light import Light
@@ -75,11 +76,11 @@ def trace(
 
 def _sensor(mi: Any, pinhole: Camera, world_from_camera: Matrix, paths: int) -> dict[str, Any]:
     # Mitsuba's cameras look along z with x to the left and y up.
-    to_world = np.asarray(world_from_camera, np.float64) @ np.diag((-1.0, -1.0, 1.0, 1.0))
+    to_world = rp.matmul(np.asarray(world_from_camera, np.float64), np.diag((-1.0, -1.0, 1.0, 1.0)))
     return {
         "type": "perspective",
         "fov_axis": "x",
-        "fov": float(np.degrees(2 * np.arctan(pinhole.width / 2 / pinhole.fx))),
+        "fov": float(np.degrees(2 * rp.arctan(pinhole.width / 2 / pinhole.fx))),
         "principal_point_offset_x": 0.5 - (pinhole.cx + 0.5) / pinhole.width,
         "principal_point_offset_y": 0.5 - (pinhole.cy + 0.5) / pinhole.height,
         "near_clip": _NEAREST_M,

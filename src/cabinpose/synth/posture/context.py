@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -10,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Matrix, invert, rotation_vector, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.scene.things import PlacedThing
@@ -48,7 +48,7 @@ class SeatContext:
         """Trunk and thighs of the person in the seat, or in the child seat."""
         if self.on is None or self.on.thing.sitting is None:
             return fit_seat(self.person, self.seat, self.setting.torso_angle)
-        seat_from_thing = invert(self.seat.vehicle_from_seat(self.setting)) @ self.on.vehicle_from_thing
+        seat_from_thing = rp.matmul(invert(self.seat.vehicle_from_seat(self.setting)), self.on.vehicle_from_thing)
         return fit_child_seat(self.person, self.seat, self.setting.torso_angle, self.on.thing.sitting, seat_from_thing)
 
     @property
@@ -59,13 +59,13 @@ class SeatContext:
     @property
     def forward(self) -> Floats:
         """(3,) vehicle frame, the level direction in which the seat faces."""
-        return np.array([math.cos(self.seat.facing_yaw), math.sin(self.seat.facing_yaw), 0.0])
+        return np.array([rp.cos(self.seat.facing_yaw), rp.sin(self.seat.facing_yaw), 0.0])
 
     def vehicle_from_root(self, lean: float) -> Matrix:
         """(4, 4) of the pelvis, pitched forward by `lean` (rad), or by more where neighbours leave no room."""
         offset = self.offset._replace(left_m=self.offset.left_m + self.neighbours.aside)
         forwards = transform(rotation_vector((0.0, max(lean, self.neighbours.lean), 0.0)))
-        return np.asarray(self.seat.vehicle_from_seat(self.setting) @ offset.applied(self.fit.seat_from_root) @ forwards)
+        return np.asarray(rp.matmul(self.seat.vehicle_from_seat(self.setting), offset.applied(self.fit.seat_from_root), forwards))
 
 
 class Trunk(NamedTuple):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import CABINPOSE, Floats, Matrix, invert, rotation_vector, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, Person
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.context import SeatContext
@@ -24,7 +25,7 @@ _STANDING = np.array([1.5, 1.5, 6.0, 0.4, 0.4, 0.15])
 _HANGING = np.array([0.6, 0.6, 0.6, 0.02, 0.02, 0.02])
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
-_SHIN_LEAN = math.sin(math.radians(24.0))  # a shin that leans back further lets the knee rise from the cushion instead
+_SHIN_LEAN = rp.sin(math.radians(24.0))  # a shin that leans back further lets the knee rise from the cushion instead
 # Of what a front seat stands on behind its H-point: feet go under the rear of a high seat, not of a low one.
 _SEAT_BASE_M = (0.10, 0.20)
 _HIGH_SEAT_M = 0.25  # of an H-point above the floor
@@ -33,7 +34,7 @@ _SHORT_OF_HEEL_M = 0.02  # what is before a seat's heel point (toe board, front 
 _KNEES_OUT_M = 0.03  # feet from below the hips to the sides
 _SHOE_M, _HALF_SHOE_M = 0.12, 0.055  # with what is between two of them
 _TOE_GAP_M = 0.01  # from the middle between two who face each other
-_HANGING_SHIN = math.asin(0.12)  # before the vertical, rad
+_HANGING_SHIN = rp.arcsin(0.12)  # before the vertical, rad
 _STRETCHED = 0.9  # sine of the angle of a shin over the edge of a cushion, at most
 _SHIN_BEHIND = 0.015  # how far an ankle may stand behind the knee: what the seat's base leaves
 
@@ -91,30 +92,30 @@ def _on_floor(seated: SeatContext, root: Matrix, side: int, plan: FootPlan) -> F
     vehicle_from_seat = seat.vehicle_from_seat(setting)
     seat_from_vehicle = invert(vehicle_from_seat)
     hip_half = float(person.rest.offsets[BONE_INDEX["lthigh"], 1])
-    hip = (seat_from_vehicle @ root @ np.array([0.0, s * hip_half, 0.0, 1.0]))[:3]
+    hip = (rp.matmul(seat_from_vehicle, root, np.array([0.0, s * hip_half, 0.0, 1.0])))[:3]
     lengths = person.segment_lengths
-    knee = hip + lengths["thigh"] * np.array([np.cos(fit.thigh_angle), 0.0, np.sin(fit.thigh_angle)])
+    knee = hip + lengths["thigh"] * np.array([rp.cos(fit.thigh_angle), 0.0, rp.sin(fit.thigh_angle)])
     sole = person.rest.soles[side]
     ankle_height = GROUND_M - float(sole[2, 3])
     floor = seat.floor_z - vehicle_from_seat[2, 3]
     drop = knee[2] - floor - ankle_height
-    heel_x = float((seat_from_vehicle[:3, :3] @ (seat.heel_point(setting) - vehicle_from_seat[:3, 3]))[0])
+    heel_x = float((rp.matmul(seat_from_vehicle[:3, :3], seat.heel_point(setting) - vehicle_from_seat[:3, 3]))[0])
     reach = min(heel_x - _SHORT_OF_HEEL_M, ahead - _FOOT_SHARE * person.stature_m) - float(sole[0, 3])  # of the ankle
     shin = lengths["shin"]
     hangs = drop >= shin or fit.edge_m > knee[0]  # the floor is out of reach
     if hangs:
         over = min(max((fit.edge_m - knee[0]) / shin, 0.0), _STRETCHED)  # the edge of a cushion that goes on below the shins
-        swing = max(_HANGING_SHIN, math.asin(over), math.acos(min(drop / shin, 1.0)))
-        ankle = knee + np.array([math.sin(swing) * shin + plan.forward, 0.0, -shin * min(math.cos(swing), 0.99)])
+        swing = max(_HANGING_SHIN, rp.arcsin(over), rp.arccos(min(drop / shin, 1.0)))
+        ankle = knee + np.array([rp.sin(swing) * shin + plan.forward, 0.0, -shin * min(rp.cos(swing), 0.99)])
         pitch = math.radians(12.0) if swing == _HANGING_SHIN else -0.7 * swing
     else:
         lean = min(np.sqrt(shin * shin - drop * drop), _SHIN_LEAN * shin)
         ankle_x = min(knee[0] + lean, max(reach, knee[0] - _SHIN_BEHIND))
         ankle = np.array([max(ankle_x + plan.forward, knee[0] - _SHIN_BEHIND), 0.0, floor + ankle_height])
         pitch = 0.0
-    rotation = rotation_vector((0.0, 0.0, s * plan.toe_out)) @ rotation_vector((0.0, pitch, 0.0))
+    rotation = rp.matmul(rotation_vector((0.0, 0.0, s * plan.toe_out)), rotation_vector((0.0, pitch, 0.0)))
     ankle[1] = _between(s * (hip_half + _KNEES_OUT_M + plan.out), side, seated.neighbours.feet)
-    target = vehicle_from_seat @ transform(rotation, ankle + rotation @ sole[:3, 3])
+    target = rp.matmul(vehicle_from_seat, transform(rotation, ankle + rp.matmul(rotation, sole[:3, 3])))
     return FootGoal(sole, target, _HANGING if hangs else _STANDING, _FREE_KNEE, False)
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Ints32, Matrix, invert
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, LOWER, UPPER, Person
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.context import Trunk
@@ -60,7 +61,7 @@ def sitter(trunk: Trunk, hands: tuple[HandGoal, HandGoal], feet: tuple[FootGoal,
     for side, (task, base, _) in enumerate(hands):
         arm = slice(_ARM[side], _ARM[side] + 7)
         q[arm], stiffness[arm] = task.prior, _ARM_STIFFER * task.stiffness
-        target = invert(trunk.skeleton.bone(base)) @ task.target if base else task.target
+        target = rp.matmul(invert(trunk.skeleton.bone(base)), task.target) if base else task.target
         weight = np.concatenate((task.position_weight, task.rotation_weight))
         rows.append(("lr"[side] + "hand", person.rest.palms[side], base, target, weight))
     for side, foot in enumerate(feet):
@@ -160,7 +161,7 @@ def hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats) -
     looked. The palm keeps its direction as far as the arm likes. Limits hold; whatever is in the way is not seen.
     """
     alone = _hand_to(person, q, root, side, place, leaning=False)
-    missed = np.linalg.norm(person.pose(alone, root).palms["lr"[side]][:3, 3] - place)
+    missed = rp.norm(person.pose(alone, root).palms["lr"[side]][:3, 3] - place)
     return alone if missed < _IN_REACH_M else _hand_to(person, q, root, side, place, leaning=True)
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Bools, ConfigError, Floats, Floats32, Ints, Matrix, SceneError, apply, invert, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, PosedBody
 from cabinpose.scene.things import OBJECTS, THINGS, VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
@@ -62,7 +63,7 @@ class Hold(NamedTuple):
     def placed(self, vehicle_from_palm: Matrix) -> Matrix:
         """vehicle_from_thing, (4, 4), of the thing in this hand. Things are their own mirror images in y = 0."""
         mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
-        return np.asarray(vehicle_from_palm @ mirror @ self.grasp.palm_from_thing @ mirror)
+        return np.asarray(rp.matmul(vehicle_from_palm, mirror, self.grasp.palm_from_thing, mirror))
 
     def thing(self, slot: str, body: PosedBody) -> PlacedThing:
         """The thing in the hand of a body that sits in a seat."""
@@ -167,7 +168,7 @@ def other_place(held: Hold) -> HandPlace:
 def closed_around(person: Person, held: Hold, palm_from_thing: Matrix, side: int) -> Hold | None:
     """How a hand (0 left, 1 right) holds what another one holds, as it is in the palm (4, 4); None where it cannot."""
     mirror = np.diag((1.0, 1.0 - 2.0 * side, 1.0, 1.0))
-    at = mirror @ palm_from_thing @ mirror
+    at = rp.matmul(mirror, palm_from_thing, mirror)
     grasp, touching = _closed(make_thing(held.kind, held.variant), _hand(person), at, around=True)
     return held._replace(side=side, grasp=grasp, place=other_place(held)) if touching >= _LEAST_TOUCHING else None
 
@@ -197,14 +198,14 @@ def _closed(thing: Thing, hand: _Hand, palm_from_thing: Matrix, *, around: bool)
 def _encloses(touching: Floats) -> bool:
     """Whether points (N, 3) that touch a thing lie all around its upright axis, and not on one side of it."""
     around = touching[:, :2] / np.maximum(np.linalg.norm(touching[:, :2], axis=1, keepdims=True), 1e-9)
-    return float(np.linalg.norm(around.mean(axis=0))) < _ONE_SIDED
+    return rp.norm(around.mean(axis=0)) < _ONE_SIDED
 
 
 def _brought_near(thing: Thing, turned: Matrix, hand: Cloud, along: float) -> Matrix:
     """palm_from_thing of a thing that is brought to the palm of a hand (palm frame) as near as it lets it."""
 
     def at(off: float) -> Matrix:
-        return np.asarray(transform(None, (along, 0.0, off)) @ turned)
+        return np.asarray(rp.matmul(transform(None, (along, 0.0, off)), turned))
 
     untouched = felt(thing.field, 0.0, _AT_REST_M)
 

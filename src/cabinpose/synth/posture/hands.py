@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Ints, Matrix, apply, axis_rotation, cross, invert, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, LOWER, SEGMENTS, Person, vertex_segments
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.context import Trunk
@@ -107,14 +108,14 @@ def elbow_room(person: Person) -> float:
     shoulder = frames(np.zeros(len(LOWER)), person.rest, np.eye(4)).bone("lupperarm")[:3, 3]
     level = trunk & (skin[:, 2] < shoulder[2] - 0.35 * upper_arm) & (skin[:, 2] > shoulder[2] - 1.1 * upper_arm)
     half = float(np.abs(skin[level, 1]).max())
-    return float(np.clip(math.atan2(half + 0.2 * upper_arm - shoulder[1], 0.75 * upper_arm), 0.1, 0.9))
+    return float(np.clip(rp.arctan2(half + 0.2 * upper_arm - shoulder[1], 0.75 * upper_arm), 0.1, 0.9))
 
 
 def palm_frame(origin: Floats, normal: Floats, fingers: Floats) -> Matrix:
     """A palm at `origin` whose z is `normal` and whose x lies as near to `fingers` as that allows ((3,) each)."""
-    z = normal / np.linalg.norm(normal)
+    z = normal / rp.norm(normal)
     y = cross(z, fingers)
-    y = y / np.linalg.norm(y)
+    y = y / rp.norm(y)
     palm = np.eye(4)
     palm[:3, 0], palm[:3, 1], palm[:3, 2], palm[:3, 3] = cross(y, z), y, z, origin
     return palm
@@ -164,8 +165,8 @@ def lying(person: Person, fingers: Floats) -> Lying:
     # The flattest support below the palm's origin: of all planes that no point lies beyond the nearest one.
     reach = (z - y * y / (2.0 * _THIGH_RADIUS_M) - np.outer(_SLOPES, x)).max(axis=1)
     best = int(reach.argmin())
-    pitch = math.atan(_SLOPES[best])
-    return Lying(float(reach[best]) * math.cos(pitch), pitch)
+    pitch = rp.arctan(_SLOPES[best])
+    return Lying(float(reach[best]) * rp.cos(pitch), pitch)
 
 
 @cache
@@ -197,11 +198,11 @@ def rim_grip(person: Person, section_m: float) -> RimGrip:
         q[DOF_INDEX["lhand.grip"]] = grip
         posed = person.pose(q, root)
         palm = posed.palms["l"]
-        local = (posed.skin[hand] - palm[:3, 3]) @ palm[:3, :3]
+        local = rp.matmul(posed.skin[hand] - palm[:3, 3], palm[:3, :3])
         local = local[np.abs(local[:, 1]) < _RIM_REACH_M]
         for along in (-0.004, 0.0, 0.004, 0.008, 0.012):
             for off in (0.0, 0.004, 0.008, 0.012):
-                clear = float(np.hypot(local[:, 0] - along, local[:, 2] - off).min()) - section_m
+                clear = float(rp.hypot(local[:, 0] - along, local[:, 2] - off).min()) - section_m
                 cost = 60.0 * max(-_PRESSED_M - clear, 0.0) / _PRESSED_M - grip + 20.0 * (abs(along) + off)
                 if cost < best_cost:
                     best, best_cost = RimGrip(float(grip), along, off), cost
@@ -217,8 +218,8 @@ def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5)
     point, tangent = wheel.grip_point(angle), wheel.tangent(angle)
     axis = wheel.vehicle_from_wheel[:3, 2]
     inward = wheel.vehicle_from_wheel[:3, 3] - point
-    inward = inward / np.linalg.norm(inward)
-    normal = np.cos(lean) * inward - np.sin(lean) * axis
+    inward = inward / rp.norm(inward)
+    normal = rp.cos(lean) * inward - rp.sin(lean) * axis
     fingers = cross(-tangent, normal)
     target = palm_frame(point - hold.off * normal - hold.along * fingers, normal, fingers)
     return LimbTask(target, _GRASP, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
@@ -235,12 +236,12 @@ def on_thigh(trunk: Trunk, side: int, along: float, inward: float, turn: float, 
     stations = np.linspace(0.0, 1.0, len(fit.thigh_top))
     heel_top, top, tip_top = (float(np.interp(along + d, stations, fit.thigh_top)) for d in (-0.2, 0.0, 0.15))
     drop = inward * inward / max(2.0 * top, 0.02)  # a thigh is round
-    slope = math.atan2(tip_top - heel_top, 0.35 * femur)  # and a cone: the hand lies along its skin
+    slope = rp.arctan2(tip_top - heel_top, 0.35 * femur)  # and a cone: the hand lies along its skin
     origin = bone[:3, 3] + along * femur * down_leg
-    down_leg, up = math.cos(slope) * down_leg + math.sin(slope) * up, math.cos(slope) * up - math.sin(slope) * down_leg
+    down_leg, up = rp.cos(slope) * down_leg + rp.sin(slope) * up, rp.cos(slope) * up - rp.sin(slope) * down_leg
     point = origin + (top - drop + lies.above + _CLOTH_M) * up - s * inward * left
     tilt = np.clip(inward / max(top, 0.03), -0.8, 0.8)
-    normal = -(np.cos(tilt) * up - s * np.sin(tilt) * left)
+    normal = -(rp.cos(tilt) * up - s * rp.sin(tilt) * left)
     fingers = down_leg - s * turn * left
-    target = palm_frame(point, normal, fingers) @ transform(axis_rotation("y", lies.pitch))
+    target = rp.matmul(palm_frame(point, normal, fingers), transform(axis_rotation("y", lies.pitch)))
     return LimbTask(target, FIRM, np.array([0.06, 0.06, 0.02]), LAP_ARM, _RESTING_STIFFNESS)

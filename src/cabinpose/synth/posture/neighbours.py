@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.memory import kept_with_person
@@ -49,7 +50,7 @@ NOBODY = Neighbours((False, False), (math.inf, math.inf), -math.inf, 0.0, False)
 
 def beside_each_other(one: Seat, two: Seat) -> bool:
     """Whether two seats belong to one row."""
-    same_way = math.cos(one.facing_yaw - two.facing_yaw) > 0.0
+    same_way = rp.cos(one.facing_yaw - two.facing_yaw) > 0.0
     return one.slot != two.slot and same_way and abs(float(one.design_h_point[0] - two.design_h_point[0])) < _ROW_M
 
 
@@ -68,8 +69,8 @@ def tunnel_m(cabin: Cabin) -> float:
 
 def is_opposite(seat: Seat, other: Seat) -> bool:
     """Whether two seats face each other."""
-    ahead = math.cos(seat.facing_yaw) * float(other.design_h_point[0] - seat.design_h_point[0])
-    return math.cos(seat.facing_yaw - other.facing_yaw) < -0.5 and ahead > 0.0
+    ahead = rp.cos(seat.facing_yaw) * float(other.design_h_point[0] - seat.design_h_point[0])
+    return rp.cos(seat.facing_yaw - other.facing_yaw) < -0.5 and ahead > 0.0
 
 
 def close_seats(seat: Seat, cabin: Cabin, taken: Sequence[str]) -> list[str]:
@@ -87,7 +88,7 @@ def _arm_radius(person: Person) -> float:
     """Of the upper arm's thick part, m."""
     near, far = (person.rest.heads[BONE_INDEX[name]] for name in ("lupperarm", "lforearm"))
     away = person.rest_skin[person.skin_segment == SEGMENTS.index("lupper_arm")] - near
-    length = float(np.linalg.norm(far - near))
+    length = rp.norm(far - near)
     along = (away * (far - near)).sum(axis=1) / length
     radius = np.linalg.norm(away - along[:, None] * (far - near) / length, axis=1)
     return float(np.percentile(radius[np.abs(along - 0.55 * length) < 0.15 * length], 85))
@@ -139,8 +140,8 @@ def neighbours_of(
     first = all(_between(cabin.seats[s], cabin, everybody) < _between(seat, cabin, everybody) for s in close)
     if overlap > 0.0 and first and shares[0] < _FORWARD_SHARE:
         ahead = math.sqrt(passing**2 - (passing - min(overlap, passing)) ** 2)
-        lean = (1.0 + 0.25 * shares[1]) * math.asin(ahead / _SHOULDER_OVER_HIP_M)
-    left = [math.cos(seat.facing_yaw) * (float(cabin.seats[s].design_h_point[1]) - middle) for s in close]
+        lean = (1.0 + 0.25 * shares[1]) * rp.arcsin(ahead / _SHOULDER_OVER_HIP_M)
+    left = [rp.cos(seat.facing_yaw) * (float(cabin.seats[s].design_h_point[1]) - middle) for s in close]
     feet = [math.inf, math.inf]
     for name, y in zip(close, left, strict=True):
         feet[0 if y > 0.0 else 1] = _foot_border(seat, cabin.seats[name], cabin)

@@ -14,6 +14,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Floats32, Matrix, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture import hands as at
@@ -221,7 +222,7 @@ class _Armrest(HandPlace):
         lies = at.lying(s.person, hand.fingers)
         middle = point + (0.10 + 0.02 * hand.noise[0]) * s.forward + beside
         pitched = transform(axis_rotation("y", lies.pitch))
-        target = at.palm_frame(middle + (lies.above + _OVER_ARMREST_M) * _UP, -_UP, s.forward) @ pitched
+        target = rp.matmul(at.palm_frame(middle + (lies.above + _OVER_ARMREST_M) * _UP, -_UP, s.forward), pitched)
         return LimbTask.firm(target, (0.06, 0.06, 0.02), at.SIDE_ARM)
 
 
@@ -245,9 +246,9 @@ class _Ear(HandPlace):
         head, s, skin = trunk.skeleton.bone("head"), 1.0 - 2.0 * side, _skin(trunk.seated.person, "head")
         half, height = float(np.abs(skin[:, 1]).max()), float(np.ptp(skin[:, 2]))
         local = np.array([0.02, s * (half + _PHONE_M - at.PALM_M), 0.18 * height])
-        point = head[:3, :3] @ local + head[:3, 3]
-        fingers = head[:3, :3] @ np.array([-0.25, 0.0, 1.0])
-        target = at.palm_frame(point, head[:3, :3] @ np.array([0.15, -s, 0.0]), fingers)
+        point = rp.matmul(head[:3, :3], local) + head[:3, 3]
+        fingers = rp.matmul(head[:3, :3], np.array([-0.25, 0.0, 1.0]))
+        target = at.palm_frame(point, rp.matmul(head[:3, :3], np.array([0.15, -s, 0.0])), fingers)
         return LimbTask.firm(target, (0.04, 0.04, 0.04), at.FACE_ARM)
 
 
@@ -266,9 +267,9 @@ class _Mouth(HandPlace):
         nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
         size = float(np.ptp(skin[:, 2])) / _HEAD_M
         mouth = np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
-        point = head[:3, :3] @ (mouth + (forward, s * 0.035, -level)) + head[:3, 3]
-        inwards = head[:3, :3] @ np.array((-0.35, -s, 0.0))
-        fingers = head[:3, :3] @ np.array((1.0, -0.35 * s, 0.15))
+        point = rp.matmul(head[:3, :3], mouth + (forward, s * 0.035, -level)) + head[:3, 3]
+        inwards = rp.matmul(head[:3, :3], np.array((-0.35, -s, 0.0)))
+        fingers = rp.matmul(head[:3, :3], np.array((1.0, -0.35 * s, 0.15)))
         target = at.palm_frame(point, inwards, fingers)
         return LimbTask.firm(target, (0.04, 0.02, 0.04), at.FACE_ARM)
 
@@ -306,9 +307,9 @@ class _Chest(HandPlace):
     def _before(self, trunk: Trunk, side: int, forward: float, out: float, up: float) -> LimbTask:
         """A palm at an offset (m) from the upper chest."""
         thorax, s = trunk.skeleton.bone("spine01"), 1.0 - 2.0 * side
-        point = thorax[:3, 3] + thorax[:3, :3] @ np.array([forward, s * out, up])
+        point = thorax[:3, 3] + rp.matmul(thorax[:3, :3], np.array([forward, s * out, up]))
         to_face = trunk.skeleton.bone("head")[:3, 3] - point
-        target = at.palm_frame(point, to_face, thorax[:3, :3] @ np.array([0.75, -s * 0.55, 0.35]))
+        target = at.palm_frame(point, to_face, rp.matmul(thorax[:3, :3], np.array([0.75, -s * 0.55, 0.35])))
         return LimbTask.firm(target, (0.04, 0.04, 0.02), at.FACE_ARM)
 
 
@@ -351,14 +352,14 @@ class _Belt(HandPlace):
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         belt, thorax = trunk.seated.seat.belt, trunk.skeleton.bone("spine01")
         assert belt is not None  # see `exists`
-        local = thorax[:3, :3].T @ (belt.upper - thorax[:3, 3])
+        local = rp.matmul(thorax[:3, :3].T, belt.upper - thorax[:3, 3])
         s = 1.0 if local[1] > 0.0 else -1.0
         depth = float(_skin(trunk.seated.person, "thorax")[:, 0].max()) + 0.065
-        point = thorax[:3, 3] + thorax[:3, :3] @ np.array([depth, s * 0.07, 0.03])
-        back = thorax[:3, :3] @ np.array([-1.0, 0.0, 0.15])
-        fingers = thorax[:3, :3] @ np.array([0.15, s * 0.8, 0.6])
+        point = thorax[:3, 3] + rp.matmul(thorax[:3, :3], np.array([depth, s * 0.07, 0.03]))
+        back = rp.matmul(thorax[:3, :3], np.array([-1.0, 0.0, 0.15]))
+        fingers = rp.matmul(thorax[:3, :3], np.array([0.15, s * 0.8, 0.6]))
         if 1.0 - 2.0 * side == s:  # the hand of the same side comes from below, its fingers to the middle
-            fingers = thorax[:3, :3] @ np.array([0.1, -s * 0.6, 0.8])
+            fingers = rp.matmul(thorax[:3, :3], np.array([0.1, -s * 0.6, 0.8]))
         target = at.palm_frame(point, back, fingers)
         return LimbTask.firm(target, (0.03, 0.03, 0.02), at.CROSS_ARM)
 
@@ -405,7 +406,7 @@ def _shoulder(trunk: Trunk, side: int) -> Floats:
 def _pointing_at(point: Floats, shoulder: Floats, prior: Floats) -> LimbTask:
     """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes."""
     direction = point - shoulder
-    direction = direction / np.linalg.norm(direction)
+    direction = direction / rp.norm(direction)
     target = at.palm_frame(point - at.HAND_M * direction, -_UP, direction)
     return LimbTask.firm(target, (0.02, 0.04, 0.04), prior)
 

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core import Floats, MocapError, axis_rotation
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, DOFS
 from cabinpose.store.convert import Clip
 
@@ -85,7 +86,7 @@ def _find_joints(clip: Clip) -> dict[str, int]:
 
 
 def _relative(a: Floats, b: Floats) -> Floats:
-    return np.swapaxes(a, -1, -2) @ b
+    return rp.matmul(np.swapaxes(a, -1, -2), b)
 
 
 def _set(q: Floats, name: str, values: Floats) -> None:
@@ -104,7 +105,7 @@ def _directions(clip: Clip, base: Floats, a: int, b: int) -> Floats:
     """Unit vectors (F, 3) from joint a to joint b, in the frame `base` (F, 3, 3)."""
     v = clip.positions[:, b] - clip.positions[:, a]
     v = v / np.linalg.norm(v, axis=1, keepdims=True)
-    return (np.swapaxes(base, 1, 2) @ v[:, :, None])[:, :, 0]
+    return (rp.matmul(np.swapaxes(base, 1, 2), v[:, :, None]))[:, :, 0]
 
 
 def ball_from_direction(direction: Floats, sign: float) -> tuple[Floats, Floats]:
@@ -112,10 +113,10 @@ def ball_from_direction(direction: Floats, sign: float) -> tuple[Floats, Floats]
 
     From Ry(-flexion) Rx(sign abduction) (0, 0, -1) = direction, with abduction within a right angle.
     """
-    abduction = np.arcsin(np.clip(sign * direction[:, 1], -1.0, 1.0))
-    flexion = np.arctan2(direction[:, 0], -direction[:, 2])
+    abduction = rp.arcsin(np.clip(sign * direction[:, 1], -1.0, 1.0))
+    flexion = rp.arctan2(direction[:, 0], -direction[:, 2])
     # Close to the straight side the flexion means nothing: it goes to zero rather than jump.
-    flexion = np.where(np.hypot(direction[:, 0], direction[:, 2]) < 1e-6, 0.0, flexion)
+    flexion = np.where(rp.hypot(direction[:, 0], direction[:, 2]) < 1e-6, 0.0, flexion)
     return flexion, abduction
 
 
@@ -136,11 +137,11 @@ def _ball(
     other = np.where(flexion > 0, flexion - np.pi, flexion + np.pi)
     for f, a in ((flexion, abduction), (other, np.pi - abduction)):
         raised = _raised(f, a, sign)
-        w = (np.swapaxes(raised, 1, 2) @ distal[:, :, None])[:, :, 0]
-        hinge = np.arccos(np.clip(-w[:, 2], -1.0, 1.0))
+        w = (rp.matmul(np.swapaxes(raised, 1, 2), distal[:, :, None]))[:, :, 0]
+        hinge = rp.arccos(np.clip(-w[:, 2], -1.0, 1.0))
         turn = _relative(raised, recorded)
-        from_record = -sign * np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
-        twist = _blend(np.arctan2(-sign * bends * w[:, 1], bends * w[:, 0]), from_record, hinge)
+        from_record = -sign * rp.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
+        twist = _blend(rp.arctan2(-sign * bends * w[:, 1], bends * w[:, 0]), from_record, hinge)
         twist = (twist + np.pi) % (2 * np.pi) - np.pi
         angles = np.stack((f, a, twist), axis=1)
         beyond = sum(np.maximum(d.lower - angles[:, k], 0) + np.maximum(angles[:, k] - d.upper, 0) for k, d in enumerate(dofs))
@@ -148,7 +149,7 @@ def _ball(
         best[better], best_beyond = angles[better], np.minimum(beyond, best_beyond)
     for k, dof in enumerate(dofs):
         _set(q, dof.name, best[:, k])
-    rotation = _raised(best[:, 0], best[:, 1], sign) @ Rotation.from_euler("Z", -sign * best[:, 2:]).as_matrix()
+    rotation = rp.matmul(_raised(best[:, 0], best[:, 1], sign), Rotation.from_euler("Z", -sign * best[:, 2:]).as_matrix())
     return rotation, hinge
 
 
@@ -168,12 +169,12 @@ def _arm(q: Floats, clip: Clip, joint: Mapping[str, int], side: str, sign: float
     upper = _directions(clip, thorax, joint[side + "shoulder"], joint[side + "elbow"])
     lower = _directions(clip, thorax, joint[side + "elbow"], joint[side + "wrist"])
     rest = clip.rest_positions[joint[side + "wrist"]] - clip.rest_positions[joint[side + "shoulder"]]
-    hanging = axis_rotation("x", float(np.arctan2(rest[1], -rest[2])))
-    recorded = _relative(thorax, clip.rotations[:, joint[side + "shoulder"]] @ hanging)
+    hanging = axis_rotation("x", float(rp.arctan2(rest[1], -rest[2])))
+    recorded = _relative(thorax, rp.matmul(clip.rotations[:, joint[side + "shoulder"]], hanging))
     humerus, elbow = _ball(q, side + "shoulder", upper, lower, recorded, sign, 1.0)
     _set(q, side + "elbow.flexion", elbow)
-    forearm = humerus @ Rotation.from_euler("Y", -elbow[:, None]).as_matrix()
-    hand = _relative(thorax, clip.rotations[:, joint[side + "wrist"]] @ hanging)
+    forearm = rp.matmul(humerus, Rotation.from_euler("Y", -elbow[:, None]).as_matrix())
+    hand = _relative(thorax, rp.matmul(clip.rotations[:, joint[side + "wrist"]], hanging))
     angles = Rotation.from_matrix(_relative(forearm, hand)).as_euler("ZXY")
     _set(q, side + "elbow.pronation", -sign * angles[:, 0])
     _set(q, side + "wrist.flexion", -sign * angles[:, 1])
@@ -187,8 +188,10 @@ def _leg(q: Floats, clip: Clip, joint: Mapping[str, int], side: str, sign: float
     recorded = _relative(pelvis, clip.rotations[:, joint[side + "hip"]])
     femur, knee = _ball(q, side + "hip", thigh, shank_direction, recorded, sign, -1.0)
     _set(q, side + "knee.flexion", knee)
-    shank = femur @ Rotation.from_euler("Y", knee[:, None]).as_matrix()
-    toe = (np.swapaxes(shank, 1, 2) @ _directions(clip, pelvis, joint[side + "ankle"], joint[side + "toe"])[:, :, None])[:, :, 0]
+    shank = rp.matmul(femur, Rotation.from_euler("Y", knee[:, None]).as_matrix())
+    toe = (
+        rp.matmul(np.swapaxes(shank, 1, 2), _directions(clip, pelvis, joint[side + "ankle"], joint[side + "toe"])[:, :, None])
+    )[:, :, 0]
     rest = clip.rest_positions[joint[side + "toe"]] - clip.rest_positions[joint[side + "ankle"]]
-    slope = np.arctan2(rest[2], np.hypot(rest[0], rest[1]))  # the toe's fall below the ankle in the reference pose
-    _set(q, side + "ankle.dorsiflexion", np.arctan2(toe[:, 2], toe[:, 0]) - slope)
+    slope = rp.arctan2(rest[2], rp.hypot(rest[0], rest[1]))  # the toe's fall below the ankle in the reference pose
+    _set(q, side + "ankle.dorsiflexion", rp.arctan2(toe[:, 2], toe[:, 0]) - slope)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, Matrix, SceneError
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.scene.contact import PlacedField
@@ -238,7 +239,7 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
     result = []
     for d, who, found in zip(drawn, sitters, left, strict=False):
         missed = dict(zip(TASKS, found.missed[:, 0].tolist(), strict=True))
-        missed["h_point"] = float(np.linalg.norm(who.root[:3, 3] - d.h_point))
+        missed["h_point"] = rp.norm(who.root[:3, 3] - d.h_point)
         late = np.flatnonzero((found.missed[:, 0] > d.must) & (who.goals.weight[:, :3] > 0.0).any(axis=1))
         refused, held_up_by = (TASKS[late[0]], found.into) if len(late) else ("", "")
         result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, d.fingers, d.hold))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Bools, Floats, Floats32, Ints, Matrix, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person, vertex_segments
 from cabinpose.scene.cabin import Seat
 from cabinpose.scene.things import Sitting
@@ -84,22 +85,22 @@ def fit_child_seat(person: Person, seat: Seat, torso_angle: float, sitting: Sitt
     SeatFit
         In the frame of the car's seat.
     """
-    tilt = float(np.arctan2(seat_from_thing[2, 0], seat_from_thing[0, 0])) + np.arctan(sitting.cushion[1])
+    tilt = float(rp.arctan2(seat_from_thing[2, 0], seat_from_thing[0, 0])) + rp.arctan(sitting.cushion[1])
     corner = seat_from_thing[:3, 3]
     if sitting.back is None:
         lean = torso_angle
-        behind = np.array([-np.cos(lean), 0.0, -np.sin(lean)]) * seat.backrest_behind_h_m
+        behind = np.array([-rp.cos(lean), 0.0, -rp.sin(lean)]) * seat.backrest_behind_h_m
     else:
-        lean = tilt - np.arctan(sitting.cushion[1]) - np.arctan(sitting.back[1])
-        behind = (seat_from_thing @ (sitting.back[0], 0.0, 0.0, 1.0))[:3]
-    out, off = np.array([np.cos(lean), 0.0, np.sin(lean)]), np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
-    base = (seat_from_thing @ (0.0, 0.0, sitting.cushion[0], 1.0))[:3]
+        lean = tilt - rp.arctan(sitting.cushion[1]) - rp.arctan(sitting.back[1])
+        behind = (rp.matmul(seat_from_thing, (sitting.back[0], 0.0, 0.0, 1.0)))[:3]
+    out, off = np.array([rp.cos(lean), 0.0, rp.sin(lean)]), np.array([-rp.sin(tilt), 0.0, rp.cos(tilt)])
+    base = (rp.matmul(seat_from_thing, (0.0, 0.0, sitting.cushion[0], 1.0)))[:3]
     # Where the femur heads come to lie, about: so far from both planes.
     planes = np.array([out[[0, 2]], off[[0, 2]]])
-    x, z = np.linalg.solve(planes, (out @ behind + _HIP_OFF_M[0], off @ base + _HIP_OFF_M[1]))
+    x, z = rp.solve(planes, (rp.matmul(out, behind) + _HIP_OFF_M[0], rp.matmul(off, base) + _HIP_OFF_M[1]))
     hip = np.array([x, corner[1], z])
-    front = float(np.hypot(*(seat_from_thing @ (sitting.front_m, 0.0, sitting.cushion[0], 1.0))[[0, 2]] - hip[[0, 2]]))
-    measures = (tilt, _HIP_OFF_M[1] / np.cos(tilt), _HIP_OFF_M[0], lean, front)
+    front = float(rp.hypot(*(rp.matmul(seat_from_thing, (sitting.front_m, 0.0, sitting.cushion[0], 1.0)))[[0, 2]] - hip[[0, 2]]))
+    measures = (tilt, _HIP_OFF_M[1] / rp.cos(tilt), _HIP_OFF_M[0], lean, front)
     rounded = [round(float(measure), 6) for measure in measures]
     fit = _fit(person, rounded[0], rounded[1], rounded[2], rounded[3], rounded[4], _ON_PADDING)
     moved = fit.seat_from_root.copy()
@@ -150,12 +151,12 @@ def _lower_half(height: Floats, of: Bools) -> Ints:
     """Which of (N,) heights, of those for which `of` holds, are at most the middle one."""
     which = np.flatnonzero(of)
     there = height[which]
-    return which[there <= np.partition(there, len(there) // 2)[len(there) // 2]]
+    return which[there <= np.sort(there)[len(there) // 2]]
 
 
 def _lowest(values: Floats, count: int) -> float:
     """The mean of the `count` least of (N,) values."""
-    return float(np.partition(values, count - 1)[:count].mean())
+    return float(np.sort(values)[:count].mean())
 
 
 @kept_with_person
@@ -164,9 +165,9 @@ def _fit(
     front: float, sags: tuple[float, float, float],
 ) -> SeatFit:  # fmt: skip
     mesh = _skin()
-    up = np.array([-np.sin(torso_angle), 0.0, np.cos(torso_angle)])  # along the torso line
-    normal = np.array([np.cos(torso_angle), 0.0, np.sin(torso_angle)])  # out of the backrest
-    cushion = np.array([-np.sin(cushion_angle), 0.0, np.cos(cushion_angle)])
+    up = np.array([-rp.sin(torso_angle), 0.0, rp.cos(torso_angle)])  # along the torso line
+    normal = np.array([rp.cos(torso_angle), 0.0, rp.sin(torso_angle)])  # out of the backrest
+    cushion = np.array([-rp.sin(cushion_angle), 0.0, rp.cos(cushion_angle)])
     free_cushion = -below * cushion[2]
     size = person.stature_m / 1.75
     femur = person.segment_lengths["thigh"]
@@ -176,19 +177,19 @@ def _fit(
     whole = person.skin_part(mesh.rows)
     skin = whole(_posture(pitch, thigh), _root(pitch, place))
     # What meets backrest and cushion lies behind and below from the start: the rest need not be moved along.
-    back = _lower_half(skin @ normal, mesh.trunk & (np.abs(skin[:, 1]) < 0.10 * size))
-    bottom = _lower_half(skin @ cushion, mesh.seated)
+    back = _lower_half(rp.matmul(skin, normal), mesh.trunk & (np.abs(skin[:, 1]) < 0.10 * size))
+    bottom = _lower_half(rp.matmul(skin, cushion), mesh.seated)
     back_skin, bottom_skin = person.skin_part(mesh.rows[back]), person.skin_part(mesh.rows[bottom])
     thighs = mesh.thighs[bottom]
     for _ in range(_ROUNDS):
         q, root = _posture(pitch, thigh), _root(pitch, place)
         skin = back_skin(q, root)
-        depth, height = skin @ normal, skin @ up
+        depth, height = rp.matmul(skin, normal), rp.matmul(skin, up)
         lower = _lowest(depth[(height > -0.02) & (height < 0.17 * size)], 6)
         upper = _lowest(depth[(height > 0.28 * size) & (height < 0.42 * size)], 6)
         wanted = -(behind + sags[0])
         skin = bottom_skin(q, root)
-        above, ahead = skin @ cushion - free_cushion, skin[:, 0] - place[0]
+        above, ahead = rp.matmul(skin, cushion) - free_cushion, skin[:, 0] - place[0]
         if slide > 0.0:
             pitch += (upper - wanted) / (0.35 * size)
         else:
@@ -202,14 +203,14 @@ def _fit(
     skin = whole(q, root)
     skeleton = frames(q, person.rest, root)
     shoulders = np.stack([skeleton.bone(s + "upperarm")[:3, 3] for s in "lr"])
-    skin_before = skin[mesh.trunk & (skin @ normal > 0.0)][::4].astype(np.float32)
+    skin_before = skin[mesh.trunk & (rp.matmul(skin, normal) > 0.0)][::4].astype(np.float32)
     thigh_top = _thigh_top(skin[mesh.left_thigh], skeleton.bone("lthigh"), femur)
     return SeatFit(q, root, thigh, shoulders, skin_before, thigh_top)
 
 
 def _thigh_top(skin: Floats, vehicle_from_thigh: Matrix, femur: float) -> Floats:
     """Height of a left thigh's skin (N, 3) above the femur's axis (towards the front) at stations from hip to knee."""
-    local = (skin - vehicle_from_thigh[:3, 3]) @ vehicle_from_thigh[:3, :3]
+    local = rp.matmul(skin - vehicle_from_thigh[:3, 3], vehicle_from_thigh[:3, :3])
     middle = np.abs(local[:, 1]) < 0.05
     station, height = -local[middle, 2] / femur, local[middle, 0]
     result = np.empty(_FEMUR_STATIONS)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import CABINPOSE, Floats, Matrix, axis_rotation, transform
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import Person
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.synth.posture.memory import kept_with_person
@@ -43,8 +44,8 @@ class SeatOffset(NamedTuple):
 
     def applied(self, seat_from_root: Matrix) -> Matrix:
         """(4, 4) `seat_from_root` moved."""
-        turn = transform(axis_rotation("x", self.roll) @ axis_rotation("z", self.yaw))
-        turn[:3, :3] = turn[:3, :3] @ seat_from_root[:3, :3]
+        turn = transform(rp.matmul(axis_rotation("x", self.roll), axis_rotation("z", self.yaw)))
+        turn[:3, :3] = rp.matmul(turn[:3, :3], seat_from_root[:3, :3])
         turn[:3, 3] = seat_from_root[:3, 3] + (self.forward_m, self.left_m, 0.0)
         return turn
 
@@ -128,11 +129,11 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
     def best_at(recline: float) -> tuple[float, SeatSetting]:
         fit = fit_seat(person, seat, recline)
         hip = h_points + fit.seat_from_root[:3, 3]
-        leg = np.hypot(*(ankle - hip)[:, [0, 2]].T)
+        leg = rp.hypot(*(ankle - hip)[:, [0, 2]].T)
         knee = _flexion(thigh, shin, leg)
         shoulder = h_points + fit.shoulders.mean(axis=0)
         beside = wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
-        elbow = _flexion(arm, forearm, np.hypot(np.hypot(*(grip - shoulder)[:, [0, 2]].T), beside) - _PALM_REACH_M)
+        elbow = _flexion(arm, forearm, rp.hypot(rp.hypot(*(grip - shoulder)[:, [0, 2]].T), beside) - _PALM_REACH_M)
         gap = np.empty(len(place))
         for seat_height in heights:
             at = place[:, 0] == seat_height
@@ -163,14 +164,14 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
 def _flexion(upper: float, lower: float, distance: Floats) -> Floats:
     """Flexion (N,) rad of the hinge between two segments whose ends are `distance` (N,) apart; 0 where it is too far."""
     cosine = (upper * upper + lower * lower - distance * distance) / (2 * upper * lower)
-    return np.asarray(np.pi - np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.asarray(np.pi - rp.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _under_rim(hip: Floats, ankle: Floats, thigh: float, shin: float, rim: Floats, top: float) -> Floats:
     """Height (N,) m of a point of the rim above the skin of a thigh, in side view: the knee from hips (N, 3), upwards."""
     x, z = (ankle - hip)[:, [0, 2]].T
-    reach = np.minimum(np.hypot(x, z), thigh + shin - 1e-6)
-    at_hip = np.arccos(np.clip((thigh * thigh + reach * reach - shin * shin) / (2 * thigh * reach), -1.0, 1.0))
-    angle = np.arctan2(z, x) + at_hip  # of the femur, above the horizontal
-    along = np.clip((rim[0] - hip[:, 0]) / np.maximum(np.cos(angle), 0.2), 0.0, thigh)
-    return np.asarray(rim[2] - hip[:, 2] - along * np.sin(angle) - top * np.cos(angle))
+    reach = np.minimum(rp.hypot(x, z), thigh + shin - 1e-6)
+    at_hip = rp.arccos(np.clip((thigh * thigh + reach * reach - shin * shin) / (2 * thigh * reach), -1.0, 1.0))
+    angle = rp.arctan2(z, x) + at_hip  # of the femur, above the horizontal
+    along = np.clip((rim[0] - hip[:, 0]) / np.maximum(rp.cos(angle), 0.2), 0.0, thigh)
+    return np.asarray(rim[2] - hip[:, 2] - along * rp.sin(angle) - top * rp.cos(angle))
