@@ -13,8 +13,8 @@ from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE
+from cabinpose.store import camera_of
 from cabinpose.store.labels import JointLabel
-from cabinpose.store.lazy import camera_of
 from cabinpose.store.predictions import Predictions, empty_batch
 
 DRIVER = "driver"
