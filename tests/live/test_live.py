@@ -25,7 +25,7 @@ from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Counts, Sample, ToFFrame
 from cabinpose.store import open_dataset
 from cabinpose.store.predictions import empty_batch, read_predictions
-from cabinpose.store.recording import Recording, tof_frames
+from cabinpose.store.recording import Recording, RecordingWriter, tof_frames
 
 Run = Callable[..., Any]  # of a command, see the `run` fixture
 FRAMES = 6
@@ -125,6 +125,24 @@ def test_recorded_frame_has_the_numbers_of_the_dataset(dataset_folder: Path, rec
         np.testing.assert_array_equal(batch["depth"][0], dataset["depth"][row].values)
         np.testing.assert_array_equal(batch["amplitude"][0], dataset["amplitude"][row].values)
         np.testing.assert_array_equal(batch["camera_k"][0], dataset["camera_k"].values[row])
+
+
+def test_the_camera_of_a_recording_is_found_among_its_sources(run: Run, recording: Path, tmp_path: Path) -> None:
+    """One camera beside a suit is meant without being named; of two the user names one."""
+    for cameras, code in ((("tof",), 0), (("left", "right"), 2)):
+        path = tmp_path / f"{len(cameras)}.mcap"
+        with Recording(recording) as once, RecordingWriter(path) as writer:
+            for _, sample in once.samples():
+                writer.write("suit", Sample(None, sample.host_ns, None, b"of a suit"))
+                for camera in cameras:
+                    writer.write(camera, sample)
+        outcome = run("live", "--source", str(path), "--frames", "2", "--json")
+        assert outcome.code == code, outcome.err
+        if code:
+            assert "has 2 ToF cameras" in outcome.err
+            assert "2.mcap:NAME: left, right" in outcome.err
+        else:
+            assert json.loads(outcome.out.splitlines()[-1])["summary"]["frames"] == 2
 
 
 def test_json_has_a_line_for_each_frame(run: Run, dataset_folder: Path) -> None:

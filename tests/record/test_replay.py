@@ -92,7 +92,7 @@ def test_gaps_are_seen_as_they_were(tmp_path: Path) -> None:
 
 def test_what_cannot_be_played(take: Path, tmp_path: Path) -> None:
     for settings, words in (
-        (ReplaySettings(path=take), "has 3 sources"),
+        (ReplaySettings(path=take, source=""), "unknown source of the recording"),
         (ReplaySettings(path=take, source="lidar"), "lidar"),
         (ReplaySettings(path=tmp_path / "missing.mcap"), "missing.mcap"),
     ):
@@ -102,3 +102,30 @@ def test_what_cannot_be_played(take: Path, tmp_path: Path) -> None:
         with pytest.raises(RecordingError, match=words):
             source.open()
     assert ReplaySource("a", ReplaySettings(path=take, source="tof"), HostClock()).check() == []
+
+
+def written(path: Path, *sources: str) -> Path:
+    """A recording of some of the samples, those of the camera as any number of cameras."""
+    with RecordingWriter(path, chunking=Chunking(sync_s=0)) as writer:
+        for source in sources:
+            of = source if source in ("suit", "optical") else "tof"
+            for name, sample in SAMPLES[:6]:
+                if name == of:
+                    writer.write(source, sample)
+    return path
+
+
+def test_the_only_camera_among_several_sources_is_meant(take: Path, tmp_path: Path) -> None:
+    source = ReplaySource("a", ReplaySettings(path=take, speed=0, host_time=True), HostClock())
+    assert source.check() == []
+    source.open()
+    assert [bits(s) for s in played(source)] == [bits(s) for name, s in SAMPLES if name == "tof"]
+    source.close()
+    two = written(tmp_path / "two.mcap", "suit", "left", "right")
+    with pytest.raises(RecordingError, match="has 2 ToF cameras") as error:
+        ReplaySource("a", ReplaySettings(path=two), HostClock()).open()
+    assert error.value.hint == "name one, with `source` or as two.mcap:NAME: left, right"
+    none = written(tmp_path / "none.mcap", "suit", "optical")
+    with pytest.raises(RecordingError, match="has 2 sources, none of them a ToF camera") as error:
+        ReplaySource("a", ReplaySettings(path=none), HostClock()).open()
+    assert error.value.hint == "name one, with `source` or as none.mcap:NAME: optical, suit"

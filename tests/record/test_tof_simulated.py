@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +15,10 @@ import numpy as np
 import pytest
 
 from cabinpose.core.errors import RecordingError, SourceEndedError
+from cabinpose.record.config import parse_rig
 from cabinpose.record.emulate.tof import TofFaults
+from cabinpose.record.lane import Lane
+from cabinpose.record.session import start_recorder
 from cabinpose.record.sources.tof.simulated import SimulatedSettings, SimulatedSource
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Facts, Sample, ToFFrame
@@ -116,6 +121,47 @@ def test_it_goes_round_until_it_is_closed() -> None:
     assert source.camera._thread is None
 
 
+def test_the_first_frame_is_ready_before_the_camera_is_connected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long the first frame takes to read, the take begins with it: it is made before `open` returns, and made once."""
+    made: list[str] = []
+
+    def slow() -> Iterator[dict[str, Any]]:
+        made.append("first")
+        yield from few(3)
+
+    source = make(slow)
+    monkeypatch.setattr(source.camera, "_run", lambda: made.append("the clock starts"))
+    source.open()
+    assert source.camera.join(10)
+    assert made == ["first", "the clock starts"]
+    source.close()
+
+
+def test_a_take_begins_with_a_frame_under_load(tmp_path: Path) -> None:
+    """A camera whose first frame takes long, beside two busy processes: a frame is there within two periods of the beginning."""
+
+    def slow() -> Iterator[dict[str, Any]]:
+        time.sleep(0.5)
+        yield from few(200)
+
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    try:
+        clock, wake = HostClock(), threading.Event()
+        settings = SimulatedSettings(faults=TofFaults(rate_hz=5))
+        lane = Lane(SimulatedSource("tof", settings, clock, slow), "simulated", clock, wake)
+        rig = parse_rig({"sources": {"tof": {"kind": "simulated"}}})
+        recorder = start_recorder(rig, [lane], tmp_path / "take.mcap", clock, wake)
+        time.sleep(0.7)
+        outcome = recorder.stop()
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    (status,) = outcome.sources
+    assert status.first_ns is not None
+    assert status.first_ns - outcome.started_ns < 2e9 / 5
+
+
 def test_frames_that_fail_or_make_no_sense() -> None:
     def broken() -> Iterator[dict[str, Any]]:
         yield {"depth": np.zeros((2, 2), np.float32)}
@@ -132,6 +178,13 @@ def test_frames_that_fail_or_make_no_sense() -> None:
     assert source.counts.malformed == 1
     assert [len(s.messages) for s in numbered(samples)] == [0, 1]
     source.close()
+    broken_at_once = make(lambda: (1 / 0 for _ in range(1)))
+    broken_at_once.open()
+    assert broken_at_once.camera.join(10)
+    broken_at_once.read(0.1)  # what it says of itself
+    with pytest.raises(RecordingError, match="division by zero"):
+        broken_at_once.read(0.1)
+    broken_at_once.close()
     with pytest.raises(RecordingError, match="no frames to see"):
         SimulatedSource("tof", SimulatedSettings(), HostClock()).open()
     assert "no frames to see" in SimulatedSource("tof", SimulatedSettings(), HostClock()).check()[0]

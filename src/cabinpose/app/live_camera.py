@@ -43,7 +43,6 @@ class SynthCameraSource(SimulatedSource):
         """The people and cars of the scenes are built before the camera's clock starts."""
         if self._maker is None:
             self._maker = FrameMaker(SynthConfig.load(self._scenes.scenes), self._scenes.seed, pictures=False)
-            self._maker.make(0)
         super()._connect()
 
     def _made(self) -> Iterator[Mapping[str, Any]]:

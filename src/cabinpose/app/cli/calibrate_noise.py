@@ -149,7 +149,7 @@ def _of_recording(path: Path, source: str | None) -> tuple[Camera | None, float,
     from cabinpose.store.recording import Recording, tof_frames
 
     with Recording(path) as recording:
-        cameras = [name for name in recording.sources if f"{name}/depth" in recording.topics]
+        cameras = recording.cameras
         if source is not None and source not in cameras:
             raise unknown_name("camera", source, cameras)
         if not cameras or (source is None and len(cameras) > 1):

@@ -8,6 +8,7 @@ against.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -47,6 +48,7 @@ class Sent(NamedTuple):
 class EmulatedCamera(Emulator):
     """Takes a frame every period and hands it to `listener(counter, device_ns, frame)` on a thread of its own.
 
+    The first frame is there before the camera's clock starts: `start` waits for it, however long it takes to make or to read.
     A source of frames that is slower than the camera slows it down; `late` counts the periods that it missed.
     """
 
@@ -64,6 +66,17 @@ class EmulatedCamera(Emulator):
         self.late = 0
         self.ended = False
         self.error: Exception | None = None
+        self._ready: Iterator[Frame] = iter(())
+
+    def open(self) -> None:
+        """Have the first frame ready; where that fails, `error` says so once the camera runs."""
+        frames = self._endless()
+        try:
+            self._ready = chain([next(frames)], frames)
+        except StopIteration:
+            self._ready = iter(())
+        except Exception as error:  # noqa: BLE001 - a source of frames may fail in any way; the reader is told
+            self._ready = _failing(error)
 
     def device_ns(self, taken_ns: int, origin_ns: int) -> int:
         """What the camera's clock says at a moment of the host's; it began to drift at `origin_ns`."""
@@ -83,7 +96,7 @@ class EmulatedCamera(Emulator):
         period_ns = round(1e9 / faults.rate_hz)
         origin_ns = started_ns = self._clock.now_ns()
         slack_ns = period_ns + round((faults.latency_s + 4 * faults.jitter_s) * 1e9)
-        for counter, frame in enumerate(self._endless()):
+        for counter, frame in enumerate(self._ready):
             taken_ns = started_ns + counter * period_ns
             now_ns = self._clock.now_ns()
             if now_ns > taken_ns + slack_ns:  # the frame was not there in time
@@ -116,3 +129,9 @@ class EmulatedCamera(Emulator):
                     return
             if empty or not self.loop:
                 return
+
+
+def _failing(error: Exception) -> Iterator[Frame]:
+    """No frames, but the error that there were."""
+    raise error
+    yield {}

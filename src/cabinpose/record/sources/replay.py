@@ -20,7 +20,9 @@ _LATE = 4096  # numbers: the samples of a suit come in any order within a second
 class ReplaySettings(PlayedSettings):
     """Which recording, and how fast."""
 
-    source: str | None = Field(None, description="name of the source in the recording; may be left out where it has one")
+    source: str | None = Field(
+        None, description="name of the source in the recording; left out: the only one, or the only ToF camera"
+    )
     host_time: bool = Field(False, description="keep the recorded host times; otherwise a sample arrives when it is played")
 
 
@@ -54,13 +56,15 @@ class ReplaySource(PlayedSource[ReplaySettings]):
         return Recording(self.settings.path, damaged="skip")
 
     def _source_in(self, recording: Recording) -> str:
-        name, there = self.settings.source, recording.sources
-        if name is None and len(there) == 1:
-            return there[0]
+        name, there, cameras = self.settings.source, recording.sources, recording.cameras
+        for only in (there, cameras):
+            if name is None and len(only) == 1:
+                return only[0]
         if name is None:
-            raise RecordingError(
-                f"{self.settings.path} has {len(there)} sources", hint=f"name one with `source`: {', '.join(there)}"
-            )
+            what, which = (f"{len(cameras)} ToF cameras", cameras) if cameras else (f"{len(there)} sources", there)
+            path = self.settings.path
+            hint = f"name one, with `source` or as {path.name}:NAME: {', '.join(which)}"
+            raise RecordingError(f"{path} has {what}" + ("" if cameras else ", none of them a ToF camera"), hint=hint)
         if name not in there:
             raise RecordingError(str(error := unknown_name("source of the recording", name, there)), hint=error.hint)
         return name

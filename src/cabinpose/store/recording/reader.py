@@ -84,6 +84,12 @@ class Recording:
         return tuple(sorted(named - {""}))
 
     @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the sources that give frames of a ToF camera."""
+        topics = self.topics
+        return tuple(name for name in self.sources if f"{name}/depth" in topics)
+
+    @property
     def topics(self) -> set[str]:
         """Names of the topics that have messages or could have."""
         return {channel.topic for _, channels in self._definitions for channel in channels.values()}
