@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import itertools
+import json
+import threading
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cabinpose.app.cli import main
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
+from cabinpose.record.config import parse_rig
 from cabinpose.record.sources.tof import bta_library as bta
 from cabinpose.record.sources.tof.bta import BtaSettings, BtaSource
 from cabinpose.signals.clock import HostClock
@@ -31,6 +36,12 @@ class Library:
         self.version, self.connected, self.open_status = version, True, 0
         self.config: bta.Config | None = None
         self.opened, self.closed = [], 0
+        # The device's values; those in `refused` are not taken, those in `kept` become another.
+        self.values: dict[str, float] = {"IntegrationTime": 1000, "FrameRate": 25.0, "ModulationFrequency": 20_000_000}
+        self.registers: dict[int, int] = {}
+        self.refused: dict[str | int, int] = {}
+        self.kept: dict[str | int, float] = {}
+        self.put: list[tuple[str | int, float]] = []
         u32 = ctypes.POINTER(ctypes.c_uint32)
         handle = ctypes.POINTER(ctypes.c_void_p)
         config = ctypes.POINTER(bta.Config)
@@ -41,6 +52,41 @@ class Library:
         self.BTAopen = kind(ctypes.c_int32, config, handle)(self._open)
         self.BTAclose = kind(ctypes.c_int32, handle)(self._close)
         self.BTAisConnected = kind(ctypes.c_uint8, pointer)(lambda _: int(self.connected))
+        number = ctypes.c_uint32
+        for what, of in (("IntegrationTime", number), ("FrameRate", ctypes.c_float), ("ModulationFrequency", number)):
+            setter = kind(ctypes.c_int32, pointer, of)(partial(self._set, what))
+            getter = kind(ctypes.c_int32, pointer, ctypes.POINTER(of))(partial(self._get, what))
+            setattr(self, f"BTAset{what}", setter)
+            setattr(self, f"BTAget{what}", getter)
+        self.BTAwriteRegister = kind(ctypes.c_int32, pointer, number, u32, u32)(self._write)
+        self.BTAreadRegister = kind(ctypes.c_int32, pointer, number, u32, u32)(self._read)
+
+    def _set(self, what: str, handle: int, value: float) -> int:
+        assert handle == 0x1234
+        self.put.append((what, value))
+        if what in self.refused:
+            return self.refused[what]
+        self.values[what] = self.kept.get(what, value)
+        return 0
+
+    def _get(self, what: str, _: int, value: Any) -> int:
+        value[0] = self.values[what]
+        return 0
+
+    def _write(self, handle: int, address: int, data: Any, count: Any) -> int:
+        assert handle == 0x1234
+        assert not count  # one register
+        self.put.append((address, data[0]))
+        if address in self.refused:
+            return self.refused[address]
+        self.registers[address] = int(self.kept.get(address, data[0]))
+        return 0
+
+    def _read(self, _: int, address: int, data: Any, count: Any) -> int:
+        if address not in self.registers:
+            return -32768
+        data[0] = self.registers[address]
+        return 0
 
     def _version(self, major: Any, minor: Any, patch: Any, *_: Any) -> int:
         major[0], minor[0], patch[0] = self.version
@@ -278,3 +324,154 @@ def test_a_recording_is_played_and_what_is_missing_named(
     assert "Bluetechnix" in str(error.value.hint)
     with pytest.raises(DependencyError):
         bta.load_library(None)  # type: ignore[arg-type]  # the C library itself: loads, and has no BTAopen
+
+
+def setup(samples: list[Sample]) -> list[Mapping[str, Any]]:
+    return [m.values for s in samples for m in s.messages if isinstance(m, Facts) and m.about == "setup"]
+
+
+def test_values_are_sent_read_back_and_told(library: Library) -> None:
+    """Exposure before rate; a value that the device changes is sent once more, told, and stated with the one that was asked."""
+    library.kept = {"FrameRate": 29.98, 0x1E0: 0x7, "IntegrationTime": 480}
+    source = make(integration_us=500, frame_rate_hz=30, registers={"0x1E0": 3, 0x1E1: "0x2"})
+    with pytest.warns(UserWarning, match="tof: integration_us is not as asked: 480 \\(asked 500\\)") as told:
+        source.open()
+    assert {str(w.message).split(":")[1].split()[0] for w in told} == {"integration_us", "registers.0x1e0"}
+    first = [("IntegrationTime", 500), ("FrameRate", 30), (0x1E0, 3), (0x1E1, 2)]
+    assert library.put == [*first, ("IntegrationTime", 500), (0x1E0, 3)]
+    library.send(1, 0, xyz(points_mm()))
+    (values,) = setup(list(source.read(0.1)))
+    assert values["modulation_hz"] == {"actual": 20_000_000}  # not asked for, and stated all the same
+    assert values["integration_us"] == {"asked": 500, "actual": 480}
+    assert values["frame_rate_hz"] == {"asked": 30, "actual": pytest.approx(29.98)}  # within a thousandth
+    assert values["registers.0x1e0"] == {"asked": 3, "actual": 7}
+    assert values["registers.0x1e1"] == {"asked": 2, "actual": 2}
+    source.close()
+
+
+def test_a_refused_value_ends_the_beginning_and_not_a_take_that_runs(library: Library) -> None:
+    library.refused = {0x1E0: -32768, "ModulationFrequency": -32760}
+    source = make(modulation_hz=1e6, registers={0x1E0: 3})
+    with pytest.raises(
+        RecordingError, match="refuses modulation_hz 1000000: not supported by this device or its firmware"
+    ) as error:
+        source.open()
+    assert "registers.0x1e0 3: out of the valid range" in str(error.value)
+    assert error.value.hint == "give another value, or leave modulation_hz and registers.0x1e0 out: the camera then keeps its own"
+    assert library.closed == 1
+    library.refused = {}
+    source = make(modulation_hz=1e6, reconnect_s=1e-4)
+    source.open()
+    library.connected = False
+    library.refused = {"ModulationFrequency": -32767}
+    library.values["ModulationFrequency"] = 20_000_000  # the device was switched off and on
+    library.connected = False
+    with pytest.warns(UserWarning, match="modulation_hz is not as asked: 20000000 \\(asked 1000000, refused: not possible"):
+        source.read(0.001)
+    assert source.counts.restarts == 1
+    library.connected = True
+    library.send(0, 0, xyz(points_mm()))
+    assert setup(list(source.read(0.1)))[-1]["modulation_hz"]["refused"].startswith("not possible")
+    source.close()
+
+
+def test_frames_that_come_before_the_device_is_set_up_do_not_count(library: Library) -> None:
+    source = make(integration_us=500)
+    source.open()
+    assert source.counts.received == 0
+    source.close()
+
+    def early(*_: Any) -> int:
+        library.send(7, 0, xyz(points_mm()))
+        return 0
+
+    library.BTAsetIntegrationTime = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_uint32)(early)
+    library.values["IntegrationTime"] = 500
+    source = make(integration_us=500)
+    source.open()
+    library.send(8, 0, xyz(points_mm()))
+    assert [s.sequence for s in numbered(source.read(0.1))] == [0]
+    source.close()
+
+
+def test_two_integrations_by_the_equation(library: Library) -> None:
+    """INT = t f and IDLETIME = (1 / rate - 4 (t + t_read)) f, worked out here for 24 MHz, 20 Hz and a clock of 80 MHz."""
+    two = {
+        "times_us": [100, 1500], "registers": ["0x100", "0x200"], "idle_registers": ["0x101", "0x201"], "cpu_clock_hz": 80e6,
+    }  # fmt: skip
+    source = make(modulation_hz=24e6, frame_rate_hz=20, two_integrations=two)
+    source.open()
+    read_s = 0.00096  # 320 / 2 * 240 / 40e6
+    assert library.registers == {
+        0x100: 2400, 0x101: round((0.05 - 4 * (0.0001 + read_s)) * 24e6),
+        0x200: 36000, 0x201: round((0.05 - 4 * (0.0015 + read_s)) * 24e6),
+    }  # fmt: skip
+    (values,) = setup(list(source.read(0.01)))
+    assert values["two_integrations.T1_us"] == {"asked": 100, "actual": pytest.approx(100)}
+    assert values["two_integrations.T2_us"] == {"asked": 1500, "actual": pytest.approx(1500)}
+    source.close()
+    with pytest.raises(RecordingError, match="4 phases of it take longer than a frame"):
+        make(frame_rate_hz=200, two_integrations=two).open()
+    library.kept = {0x201: 5}
+    with pytest.raises(RecordingError, match="T2_us 1500: register 0x201 does not keep"):
+        make(frame_rate_hz=20, two_integrations=two).open()
+
+
+def test_balance_and_points_in_one_frame(library: Library) -> None:
+    """The channels that registers choose: depth and intrinsics of the points, amplitude and balance of the same frame."""
+    source = make(frame_mode="channel_selection", registers={0x250: 3})
+    source.open()
+    assert library.opened[-1].mode == 255
+    library.send(1, 0, xyz(points_mm()) | {bta.AMPLITUDE: (AMPLITUDE, 0), bta.BALANCE: (AMPLITUDE + 5, 0)})
+    (frame,) = frames(list(source.read(0.1)))
+    np.testing.assert_allclose(frame.depth * frame.depth_unit_m, points_mm()[..., 2] / 1000, atol=1.3e-4)
+    np.testing.assert_allclose(frame.camera_k, CAMERA.k, atol=1e-3)
+    np.testing.assert_array_equal(frame.amplitude, AMPLITUDE)
+    np.testing.assert_array_equal(frame.balance, AMPLITUDE + 5)
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"filters": {"median": True}}, "bits of registers"),
+        ({"recording": "a.bltstream", "frame_rate_hz": 5}, "nothing can be set"),
+        ({"integration_us": 0}, "greater than 0"),
+        ({"frame_rate_hz": float("nan")}, "finite"),
+        ({"registers": {"0xZZ": 1}}, "valid integer"),
+        ({"registers": {1: 2**32}}, "less than"),
+        ({"two_integrations": {"times_us": [1, 2], "registers": [1, 2], "idle_registers": [3, 4]}}, "need cpu_clock_hz"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_set_is_named(settings: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        parse_rig({"sources": {"tof": {"kind": "bta", **settings}}})
+
+
+def test_a_take_says_what_the_camera_was_set_to(library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From the rig to `info`: what the device changed is warned of, what it refuses ends `record` with nothing left behind."""
+    rig, take = tmp_path / "rig.yaml", tmp_path / "take.mcap"
+    rig.write_text(
+        "sources:\n  tof: {kind: bta, integration_us: 500, frame_rate_hz: 30, registers: {0x1E0: 3}}\n", encoding="utf-8"
+    )
+    record = ["record", "--config", str(rig), "--out", str(take), "--duration", "0.3"]
+    library.refused = {0x1E0: -32768}
+    assert main(record) == 2
+    told = capsys.readouterr().err
+    assert "error: tof: the camera refuses registers.0x1e0 3: out of the valid range\n" in told
+    assert told.count("hint:") == 1
+    assert not take.exists()
+    library.refused, library.kept = {}, {"IntegrationTime": 480}
+    timer = threading.Timer(0.1, lambda: library.send(1, 0, xyz(points_mm())))
+    timer.start()
+    assert main(record) == 0
+    timer.join()
+    assert "warning: tof: integration_us is not as asked: 480 (asked 500)" in capsys.readouterr().err
+    assert main(["info", str(take)]) == 0
+    words = capsys.readouterr().out
+    assert "tof set-up" in words
+    assert "modulation_hz 20000000, integration_us 480 (asked 500), frame_rate_hz 30, registers.0x1e0 3" in words
+    assert main(["info", str(take), "--json"]) == 0
+    (values,) = json.loads(capsys.readouterr().out)["sources"]["tof"]["setups"]
+    assert values["integration_us"] == {"asked": 500, "actual": 480}

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DependencyError, RecordingError
@@ -27,6 +28,28 @@ class GenericException(Exception):  # noqa: N818 - genicam's name
 class Node:
     def __init__(self, value: Any) -> None:
         self.value = value
+
+
+class Snapping(Node):
+    """A feature that takes the nearest of its steps, has limits, and may have entries."""
+
+    def __init__(self, value: Any, step: float = 1.0, most: float = 1e9, symbolics: tuple[str, ...] = ()) -> None:
+        self._value, self._step, self._most, self.symbolics = value, step, most, symbolics
+
+    @property
+    def value(self) -> Any:
+        return self._value
+
+    @value.setter
+    def value(self, value: Any) -> None:
+        if self.symbolics:
+            if value not in self.symbolics:
+                raise GenericException(f"{value} is no entry")
+            self._value = value
+            return
+        if value > self._most:
+            raise GenericException(f"Value = {value} must be smaller than or equal Max = {self._most}")
+        self._value = round(value / self._step) * self._step
 
 
 class Coordinates:
@@ -280,9 +303,9 @@ def test_a_producer_without_frame_ids_and_a_lost_camera(rig: SimpleNamespace) ->
 
 
 def test_what_is_missing_is_named(rig: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(RecordingError, match="refuses to start") as error:
+    with pytest.raises(RecordingError, match=r"refuses features\.Nonsense 1") as error:
         make(rig, features={"Nonsense": 1}).open()
-    assert "features" in str(error.value.hint)
+    assert error.value.hint == "check the names and values in `features`: features.Nonsense"
     assert rig.acquirer.remote_device is None
     rig.serials = []
     with pytest.raises(RecordingError, match="no GenICam camera is connected"):
@@ -295,3 +318,51 @@ def test_what_is_missing_is_named(rig: SimpleNamespace, monkeypatch: pytest.Monk
     monkeypatch.setitem(sys.modules, "harvesters.core", None)
     with pytest.raises(DependencyError, match="harvesters"):
         make(rig).open()
+
+
+def told(samples: Any) -> list[Any]:
+    return [m.values for s in samples for m in s.messages if isinstance(m, Facts) and m.about == "setup"]
+
+
+def test_values_are_set_before_the_frames_and_read_back(rig: SimpleNamespace) -> None:
+    rig.nodes.ExposureAuto, rig.nodes.ExposureTime = Node("Continuous"), Snapping(1000.0, step=60.0)
+    rig.nodes.AcquisitionFrameRateEnable, rig.nodes.AcquisitionFrameRate = Node(False), Snapping(30.0, step=0.001, most=30)
+    rig.nodes.SpatialFilter, rig.nodes.OperatingMode = Node(False), Node("LongRange")
+    source = make(
+        rig, integration_us=500, frame_rate_hz=12.5, filters={"SpatialFilter": True}, features={"OperatingMode": "ShortRange"}
+    )
+    with pytest.warns(UserWarning, match=r"tof: integration_us is not as asked: 480 \(asked 500\)"):
+        source.open()
+    nodes = rig.nodes
+    assert (nodes.ExposureAuto.value, nodes.AcquisitionFrameRateEnable.value, nodes.SpatialFilter.value) == ("Off", True, True)
+    rig.acquirer.fill(1, 0, component("Coord3D_C16", DEPTH))
+    (values,) = told(source.read(0.1))
+    assert values == {
+        "features.OperatingMode": {"asked": "ShortRange", "actual": "ShortRange"},
+        "filters.SpatialFilter": {"asked": True, "actual": True},
+        "integration_us": {"asked": 500, "actual": 480},
+        "frame_rate_hz": {"asked": 12.5, "actual": pytest.approx(12.5)},
+    }
+    source.close()
+
+
+def test_exposures_of_which_there_are_few(rig: SimpleNamespace) -> None:
+    entries = ("Exp62_5Us", "Exp250Us", "Exp1000Us")
+    rig.nodes.ExposureTimeSelector = Snapping("Exp1000Us", symbolics=entries)
+    source = make(rig, integration_us=62.5)
+    source.open()
+    assert rig.nodes.ExposureTimeSelector.value == "Exp62_5Us"
+    source.close()
+    with pytest.raises(RecordingError, match=r"integration_us 500: the camera has 62\.5, 250, 1000"):
+        make(rig, integration_us=500).open()
+
+
+def test_a_rate_that_is_refused_and_keys_that_the_standard_lacks(rig: SimpleNamespace) -> None:
+    rig.nodes.AcquisitionFrameRate = Snapping(30.0, most=30)
+    with pytest.raises(RecordingError, match="frame_rate_hz 60: Value = 60") as error:
+        make(rig, frame_rate_hz=60).open()
+    assert error.value.hint == "give another value, or leave frame_rate_hz out: the camera then keeps its own"
+    assert rig.acquirer.remote_device is None
+    assert not rig.acquirer.acquiring
+    with pytest.raises(ValidationError, match="no feature for it"):
+        make(rig, modulation_hz=60e6)

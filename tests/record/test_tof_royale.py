@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DependencyError, RecordingError
@@ -33,6 +34,48 @@ class FakeCamera:
 
     def __init__(self) -> None:
         self.connected, self.capturing, self.listener, self.use_case = True, False, None, "MODE_9_10FPS_1000"
+        self.rate, self.mode, self.exposure, self.level = 10, "automatic", 1000, 255
+        self.parameters: dict[str, Any] = {"NoiseThreshold_Float": 0.07, "UseRemoveFlyingPixel_Bool": True}
+
+    def setFrameRate(self, rate: int) -> int:  # noqa: N802
+        if not 1 <= rate <= 10:
+            raise RuntimeError("The framerate is not supported")
+        self.rate = rate
+        return 0
+
+    def getExposureLimits(self) -> SimpleNamespace:  # noqa: N802
+        return SimpleNamespace(first=8, second=1000)
+
+    def setExposureMode(self, mode: str, stream: int) -> int:  # noqa: N802
+        assert stream == 0
+        self.mode = mode
+        return 0
+
+    def setExposureTime(self, time_us: int, stream: int) -> int:  # noqa: N802
+        assert stream == 0
+        if self.mode != "manual":
+            raise RuntimeError("Exposure mode is not correct for this operation")
+        self.exposure = time_us
+        return 0
+
+    def setFilterLevel(self, level: int, stream: int) -> int:  # noqa: N802
+        assert stream == 0
+        self.level = level
+        return 0
+
+    def getFilterLevel(self, stream: int) -> int:  # noqa: N802
+        assert stream == 0
+        return self.level
+
+    def setProcessingParameters(self, values: dict[str, Any], stream: int) -> int:  # noqa: N802
+        assert stream == 0
+        assert all(type(value) is type(self.parameters[name]) for name, value in values.items())  # as Royale's variants
+        self.parameters |= values
+        return 0
+
+    def getProcessingParameters(self, stream: int) -> dict[str, Any]:  # noqa: N802
+        assert stream == 0
+        return dict(self.parameters)
 
     def initialize(self) -> int:
         if not self.connected:
@@ -50,7 +93,7 @@ class FakeCamera:
         return self.use_case
 
     def getFrameRate(self) -> int:  # noqa: N802
-        return 10
+        return self.rate
 
     def getLensParameters(self) -> dict[str, float]:  # noqa: N802
         return dict(LENS)
@@ -96,6 +139,8 @@ class FakeRoypy(ModuleType):
             def createCamera(self, name: str) -> FakeCamera:  # noqa: N802
                 return plugged[name]
 
+        self.ExposureMode_MANUAL = "manual"
+        self.FilterLevel_Off, self.FilterLevel_Full = 0, 255
         self.IDepthDataListener = IDepthDataListener
         self.CameraManager = CameraManager
 
@@ -286,3 +331,57 @@ def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, roypy: FakeRo
         make().open()
     assert "Royale SDK" in str(missing.value.hint)
     assert "roypy" in make().check()[0]
+
+
+def test_values_are_set_within_the_use_case_and_read_back(roypy: FakeRoypy) -> None:
+    """The exposure is told by frames alone; a rate is a whole number, and one that is not is told."""
+    filters = {"FilterLevel": False, "NoiseThreshold_Float": 1, "UseRemoveFlyingPixel_Bool": False}  # YAML reads Off as false
+    source = make(integration_us=600, frame_rate_hz=7.4, filters=filters)
+    with pytest.warns(UserWarning, match=r"tof: frame_rate_hz is not as asked: 7 \(asked 7\.4\)"):
+        source.open()
+    camera = roypy.cameras["0007-1"]
+    assert (camera.mode, camera.exposure, camera.rate, camera.level) == ("manual", 600, 7, 0)
+    assert camera.parameters == {"NoiseThreshold_Float": 1.0, "UseRemoveFlyingPixel_Bool": False}
+    camera.listener.onNewData(OldLayout(0))
+    first, second = facts(list(source.read(0.1)), "setup")
+    assert first.values["integration_us"] == {"asked": 600}  # before a frame has come
+    assert first.values["frame_rate_hz"] == {"asked": 7.4, "actual": 7}
+    assert first.values["filters.FilterLevel"] == {"asked": "Off", "actual": "Off"}
+    assert first.values["filters.NoiseThreshold_Float"] == {"asked": 1, "actual": 1.0}
+    assert second.values["integration_us"] == {"asked": 600, "actual": 600}
+    other = OldLayout(1)
+    other.exposureTimes = Vector([200, 450, 450, 450])
+    camera.listener.onNewData(other)
+    with pytest.warns(UserWarning, match=r"integration_us is not as asked: 450 \(asked 600\)"):
+        source.read(0.1)
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"integration_us": 2000}, "integration_us 2000: the use case takes 8 to 1000"),
+        ({"frame_rate_hz": 15}, "frame_rate_hz 15: The framerate is not supported"),
+        ({"filters": {"FilterLevel": "Best"}}, "this version of Royale knows Full, Off"),
+        ({"filters": {"Sharpness": 1}}, "the camera's parameters are NoiseThreshold_Float, UseRemoveFlyingPixel_Bool"),
+    ],
+    ids=str,
+)
+def test_what_the_use_case_does_not_take_is_refused(roypy: FakeRoypy, settings: dict[str, Any], words: str) -> None:
+    source = make(**settings)
+    with pytest.raises(RecordingError, match=words):
+        source.open()
+    assert not roypy.cameras["0007-1"].capturing
+    with pytest.raises(ValidationError, match="choose one with `use_case`"):
+        make(modulation_hz=60e6)
+
+
+def test_an_older_version_has_less(roypy: FakeRoypy, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("setFrameRate", "getExposureLimits", "setFilterLevel", "getFilterLevel"):
+        monkeypatch.delattr(FakeCamera, name)
+    with pytest.raises(RecordingError, match="this version of Royale has no setFrameRate"):
+        make(frame_rate_hz=5).open()
+    source = make(integration_us=5000)
+    source.open()
+    assert roypy.cameras["0007-1"].exposure == 5000
+    source.close()

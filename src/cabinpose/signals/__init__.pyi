@@ -12,6 +12,7 @@ from .recorded import ARRAYS as ARRAYS
 from .recorded import F64 as F64
 from .recorded import FRAME_IMAGES as FRAME_IMAGES
 from .recorded import MOTOR_CHANNELS as MOTOR_CHANNELS
+from .recorded import SETUP as SETUP
 from .recorded import TOPICS as TOPICS
 from .recorded import Channels as Channels
 from .recorded import Counts as Counts

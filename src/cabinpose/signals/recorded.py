@@ -131,6 +131,9 @@ class Facts:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
+SETUP: Final = "setup"
+"""Facts on a camera's values are about it: by the name of each what was `asked`, what it is (`actual`), why it was `refused`."""
+
 # What a recording holds.
 Message: TypeAlias = SegmentPoses | SegmentKinematics | SensorReadings | JointAngles | Markers | ToFFrame | Channels | Facts
 

@@ -150,6 +150,7 @@ def _print_takes_of(folder: Path, subject: str, *, as_json: bool) -> None:
 def _print_recording(path: Path, *, as_json: bool) -> None:
     require("record")
     from cabinpose.app.report.recordings import source_rows, topic_rows
+    from cabinpose.record.sources.tof import described
     from cabinpose.store.recording import survey
 
     found = survey(path)
@@ -172,6 +173,9 @@ def _print_recording(path: Path, *, as_json: bool) -> None:
     )
     print()
     print_table(source_rows(found))
+    if setups := [(f"{s.name} set-up", ", ".join(described(values))) for s in found.sources for values in s.setups]:
+        print()
+        print_rows(setups)
     errors = [(s.name, s.status.error) for s in found.sources if s.status is not None and s.status.error]
     if errors:
         print()

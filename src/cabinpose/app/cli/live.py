@@ -211,6 +211,10 @@ def _print(status: LiveStatus) -> None:
         f"{status.frames} frames, {status.rate_hz:.1f} a second; "
         f"{status.feed.passed_over} left out for newer ones, {seen.lost} lost before they came, {seen.malformed} malformed"
     )
+    if status.feed.setup:
+        from cabinpose.record.sources.tof import described
+
+        print(printable(f"set-up: {', '.join(described(status.feed.setup))}"))
     rows = [["ms", "p50", "p95", "p99", "failed"]]
     if status.latency is not None:
         rows.append(["arrival to joints", *_numbers(status.latency), ""])

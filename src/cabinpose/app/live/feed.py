@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from cabinpose.core import FrameBatch, RecordingError, SourceEndedError
 from cabinpose.evaluate import frame_batch
 from cabinpose.record import Lane, Recorder, Rig, start_recorder
-from cabinpose.signals import Counts, FrameSource, HostClock, Sample, ToFFrame
+from cabinpose.signals import SETUP, Counts, Facts, FrameSource, HostClock, Sample, ToFFrame
 from cabinpose.store import image_names, open_dataset
 
 _WAIT_S = 0.1  # for a frame, before the caller is asked whether to go on
@@ -28,12 +29,15 @@ class LiveFrame:
 
 @dataclass(frozen=True)
 class FeedStatus:
-    """What is known of the source: its own counts, frames that newer ones replaced unseen, and what is wrong with it."""
+    """What is known of the source: its own counts, frames that newer ones replaced unseen, and what is wrong with it;
+    setup: what a camera was set to, and what it has.
+    """
 
     counts: Counts
     passed_over: int
     error: str
     silent: bool
+    setup: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Feed(ABC):
@@ -160,7 +164,7 @@ class LatestFrame(Feed):
     def status(self) -> FeedStatus:
         """The counts of the source, and whether it still speaks."""
         counts = self._lane.status(self._source.counts.received, self.clock.now_ns())
-        return FeedStatus(self._source.counts, self._source.passed_over, counts.error, counts.silent)
+        return FeedStatus(self._source.counts, self._source.passed_over, counts.error, counts.silent, self._source.setup)
 
     def stop(self) -> None:
         """Stop the source and end the recording; raises RecordingError where the disk refused it."""
@@ -180,6 +184,7 @@ class _Tap:
         self._source = source
         self._newest: Sample | None = None
         self._changed = threading.Condition()
+        self.setup: Mapping[str, Any] = {}
         self.passed_over = 0  # frames that a newer one replaced before anybody looked
 
     @property
@@ -203,6 +208,9 @@ class _Tap:
     def read(self, timeout_s: float) -> Sequence[Sample]:
         """As the source's."""
         samples = self._source.read(timeout_s)
+        for message in (message for sample in samples for message in sample.messages):
+            if isinstance(message, Facts) and message.about == SETUP:
+                self.setup = message.values
         seen = [sample for sample in samples if tof_frame_of(sample) is not None]
         if seen:
             with self._changed:

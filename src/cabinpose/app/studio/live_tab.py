@@ -18,11 +18,15 @@ from cabinpose.app.studio.live_session import PRESENT, LiveRoom, LiveSession, Sh
 from cabinpose.app.studio.models import detectors
 from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core import CabinposeError, Predictor, skeleton_of
+from cabinpose.core import CabinposeError, ConfigError, Predictor, skeleton_of
 from cabinpose.estimate.remote import open_predictor
-from cabinpose.record.sources import cameras
+from cabinpose.record.sources import SOURCES, cameras
+from cabinpose.record.sources.tof import adjustable, described
 
 _PERIOD_S = 0.1  # between looks for a new frame
+_LABELS = {
+    "integration_us": "integration time, µs", "frame_rate_hz": "frame rate, Hz", "modulation_hz": "modulation frequency, Hz",
+}  # fmt: skip
 
 
 class LiveTab:
@@ -53,6 +57,12 @@ class LiveTab:
         self._source = (
             ui.select(sources, value=sources[0], label="source").props("dense outlined").classes("w-full").mark("source")
         )
+        self._numbers = {
+            key: ui.number(label, min=0, format="%g").props("dense outlined clearable").classes("w-full").mark(key)
+            for key, label in _LABELS.items()
+        }
+        for key, field in self._numbers.items():
+            field.bind_visibility_from(self._source, "value", lambda source, key=key: key in _keys_of(source))
         self._settings = ui.textarea("settings, KEY=VALUE a line", placeholder="use_case=MODE_9_5FPS_2000").props(
             "dense outlined autogrow"
         )
@@ -73,12 +83,14 @@ class LiveTab:
             ui.button("Keep", icon="bookmark_add", on_click=self._keep).props("dense no-caps outline").tooltip(words)
             self._to_label = ui.button("Label this frame", icon="edit", on_click=self._open).props("dense no-caps outline")
             self._to_label.style("flex: 1")
+        self._setup = ui.label().style("font-size: 13px").mark("setup")
         self._joints = ui.column().classes("w-full").style("gap: 0; font-size: 13px")
 
     async def _begin(self) -> None:
         self._start.disable()
         try:
             settings = parsed_settings([line.strip() for line in str(self._settings.value or "").splitlines() if line.strip()])
+            settings = _with_numbers(settings, {key: self._numbers[key].value for key in _keys_of(str(self._source.value))})
             names = list(self._models.value or ())
             models: list[Predictor] = await run.io_bound(lambda: [open_predictor(name) for name in names]) or []
             self._room.stop()
@@ -167,6 +179,7 @@ class LiveTab:
 
     def _tell(self, session: LiveSession) -> None:
         status = session.status()
+        self._setup.text = f"camera: {', '.join(described(status.feed.setup))}" if status.feed.setup else ""
         late = f"{status.latency.p50:.0f} / {status.latency.p95:.0f} / {status.latency.p99:.0f} ms" if status.latency else "–"
         state = "" if session.running else "ended: "
         recorded = f"; recording to {session.record}" if session.record is not None and session.running else ""
@@ -189,6 +202,19 @@ class LiveTab:
                     if count:
                         least = int(np.argmin(np.where(sure >= PRESENT, sure, 2)))
                         ui.label(f"{person}: {count} joints, least sure {model.joints[least]} {sure[least]:.2f}")
+
+
+def _keys_of(source: str) -> tuple[str, ...]:
+    """What can be set of a source by number; nothing of a file."""
+    return adjustable(SOURCES[source]) if source in SOURCES.names() else ()
+
+
+def _with_numbers(settings: dict[str, Any], numbers: dict[str, float | None]) -> dict[str, Any]:
+    """Settings with the numbers that were given. Raises ConfigError where one stands in both."""
+    given = {key: value for key, value in numbers.items() if value is not None}
+    if twice := sorted(given.keys() & settings.keys()):
+        raise ConfigError(f"{', '.join(twice)} is given twice", hint="as a number, or among the settings")
+    return settings | given
 
 
 def _people(shown: Shown) -> tuple[list[dict[str, Any]], tuple[tuple[int, int], ...]]:

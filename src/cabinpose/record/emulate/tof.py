@@ -76,7 +76,7 @@ class EmulatedCamera(Emulator):
         except StopIteration:
             self._ready = iter(())
         except Exception as error:  # noqa: BLE001 - a source of frames may fail in any way; the reader is told
-            self._ready = _failing(error)
+            self._ready = map(_fail, [error])
 
     def device_ns(self, taken_ns: int, origin_ns: int) -> int:
         """What the camera's clock says at a moment of the host's; it began to drift at `origin_ns`."""
@@ -131,7 +131,6 @@ class EmulatedCamera(Emulator):
                 return
 
 
-def _failing(error: Exception) -> Iterator[Frame]:
-    """No frames, but the error that there were."""
+def _fail(error: Exception) -> Frame:
+    """In place of a frame, the error that there was."""
     raise error
-    yield {}

@@ -26,6 +26,7 @@ from cabinpose.signals import (
     ARRAYS,
     F64,
     FRAME_IMAGES,
+    SETUP,
     TOPICS,
     Channels,
     Facts,
@@ -130,6 +131,16 @@ def decode_status(data: memoryview) -> SourceStatus:
         return SourceStatus(**{field.name: values[field.name] for field in fields(SourceStatus) if field.name in values})
     except (ValueError, TypeError, KeyError) as error:
         raise RecordingError(f"a record on status is no SourceStatus: {error}") from error
+
+
+def decode_setup(data: memoryview) -> Mapping[str, Any] | None:
+    """What facts say of the values that a camera was set to; None where they are of something else, or damaged."""
+    try:
+        facts = json.loads(bytes(data))
+        values: Mapping[str, Any] = facts["values"]
+        return values if facts["about"] == SETUP and isinstance(values, dict) else None
+    except (ValueError, TypeError, KeyError):
+        return None
 
 
 def sample_bytes(messages: Sequence[Message]) -> int:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.store.recording.messages import decode_status
+from cabinpose.store.recording.messages import decode_setup, decode_status
 from cabinpose.store.recording.reader import Recording
 from cabinpose.store.recording.scan import Damage
 from cabinpose.store.recording.schemas import FACTS, RAW, STATUS, SourceStatus
@@ -36,7 +39,8 @@ class SourceSurvey:
     arrival_ns: (samples,) int64, host time · first_ns, last_ns: of its data, None where there are none · rate_hz: samples a
     second · missing: numbers that the device used and the file lacks · gaps: (G, 2) s since the take's start, silences of more
     than three usual intervals and 0.1 s, from the take's start to its end (of a source that says that it has ended, to its last
-    data) · jitter_ms: standard deviation of the intervals between arrivals · status: the last counts that were written, if any.
+    data) · jitter_ms: standard deviation of the intervals between arrivals · status: the last counts that were written, if any ·
+    setups: what a camera was set to, as its facts say, and anew whenever it changed.
     """
 
     name: str
@@ -49,6 +53,7 @@ class SourceSurvey:
     missing: int
     gaps: NDArray[np.float64]
     status: SourceStatus | None
+    setups: tuple[Mapping[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,7 @@ def survey(path: Path) -> Survey:
     data_times: dict[str, list[int]] = {}
     statuses: dict[str, SourceStatus] = {}
     counted: list[int] = []
+    setups: dict[str, list[Mapping[str, Any]]] = {}
     topics: dict[str, tuple[str, list[int], list[int]]] = {}
     with Recording(path, damaged="skip") as recording:
         for place, schema, channel, data in recording.records():
@@ -85,6 +91,8 @@ def survey(path: Path) -> Survey:
             elif place.topic == STATUS:
                 statuses[place.source] = decode_status(data)
                 counted.append(place.host_ns)
+            elif place.topic == FACTS and (setup := decode_setup(data)) is not None:
+                setups.setdefault(place.source, []).append(setup)
             if place.topic not in (STATUS, RAW, FACTS) or (place.topic == RAW and place.sequence is not None):
                 data_times.setdefault(place.source, []).append(place.host_ns)
         take, started, damage, names = recording.take, recording.head.started_ns, recording.damage, recording.sources
@@ -99,7 +107,9 @@ def survey(path: Path) -> Survey:
     for name in names:
         status, came = statuses.get(name), times.get(name, [])
         data_came = data_times.get(name, came if status is None else [])  # of a file of other tools, events may be all there is
-        sources.append(_source(name, came, data_came, numbers.get(name, []), status, (first, last)))
+        of_it = _source(name, came, data_came, numbers.get(name, []), status, (first, last))
+        changes = tuple(values for values, _ in groupby(setups.get(name, ())))
+        sources.append(replace(of_it, setups=changes))
     listed = tuple(TopicSurvey(t, schema, len(at), sum(sizes), _rate(at)) for t, (schema, at, sizes) in sorted(topics.items()))
     return Survey(path, take, size, first, (last - first) / 1e9, tuple(sources), listed, damage)
 

@@ -5,6 +5,13 @@ from .camera import depth_image as depth_image
 from .camera import frame_of as frame_of
 from .camera import rays_of_points as rays_of_points
 from .camera import shaped as shaped
+from .setup import SETUP_KEYS as SETUP_KEYS
+from .setup import AdjustableSource as AdjustableSource
+from .setup import CameraSetup as CameraSetup
+from .setup import Control as Control
+from .setup import RefusedError as RefusedError
+from .setup import adjustable as adjustable
+from .setup import described as described
 from .simulated import SimulatedSettings as SimulatedSettings
 from .simulated import SimulatedSource as SimulatedSource
 from .simulated import tof_frame as tof_frame

@@ -2,40 +2,85 @@
 
 A frame holds the channels that its mode asks for. Where it holds X, Y and Z, the depth is Z and the intrinsics are fitted to
 the points, unless the user states them; where it holds distances along the rays alone, the intrinsics have to be stated.
-The time stamp counts 32 bits of microseconds and wraps after 71.6 minutes, which is undone.
+The time stamp counts 32 bits of microseconds and wraps after 71.6 minutes, which is undone. What is set goes to the device
+before the first frame counts; filters are bits of registers, whose addresses the device's manual has.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from cabinpose.core import Camera, ConfigError, RecordingError, unknown_name
 from cabinpose.record.sources.counting import DeviceClock, FrameNumbers
 from cabinpose.record.sources.tof import bta_library as bta
 from cabinpose.record.sources.tof.camera import (
-    CameraSettings,
-    CameraSource,
     MalformedFrameError,
     depth_image,
     frame_of,
     rays_of_points,
 )
+from cabinpose.record.sources.tof.setup import AdjustableSource, CameraSetup, Control, Positive, RefusedError
 from cabinpose.signals import HostClock, ToFFrame
 
 _TURN = 2**32
+_WITH_POINTS = frozenset({"current", "xyz", "xyz_amplitude", "xyz_amplitude_flags", "channel_selection"})
 _DEVICE_TYPES = {"any": 0, "ethernet": 1, "usb": 2, "uart": 3, "bltstream": 0xF}
 
 
-class BtaSettings(CameraSettings):
+def _number(value: Any) -> Any:
+    """A number of a register as manuals write it, "0x1E0"; anything else as it is."""
+    try:
+        return int(value, 0) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+Word = Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)]
+
+
+class TwoIntegrations(BaseModel):
+    """Two integration times in turn, of the evaluation kits EVK75023 and EVK75123: memory tables T1 and T2.
+
+    A table holds times in periods of the modulation: INT = t f_mod, and IDLETIME = (1 / f_frame - phases (t + t_read)) f_mod,
+    where t_read = 320/2 · 240 / (CPU clock / 2) is what it takes to read a phase.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    times_us: tuple[Positive, Positive] = Field(description="integration time of T1 and of T2, µs")
+    registers: tuple[Word, Word] = Field(description="addresses of INT in T1 and in T2, from the kit's manual")
+    idle_registers: tuple[Word, Word] | None = Field(None, description="addresses of IDLETIME; left out: it stays")
+    phases: int = Field(4, ge=1, le=16, description="phases of a frame")
+    cpu_clock_hz: Positive | None = Field(None, description="clock of the kit's processor, for IDLETIME")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.idle_registers is not None and self.cpu_clock_hz is None:
+            raise ValueError("idle_registers need cpu_clock_hz")
+        return self
+
+    def periods(self, table: int, modulation_hz: float) -> int:
+        """INT of a table (0: T1, 1: T2)."""
+        return round(self.times_us[table] * 1e-6 * modulation_hz)
+
+    def idle_periods(self, table: int, modulation_hz: float, frame_rate_hz: float) -> int:
+        """IDLETIME of a table; below 0 where the phases take longer than a frame."""
+        assert self.cpu_clock_hz is not None
+        read_s = 320 / 2 * 240 / (self.cpu_clock_hz / 2)
+        return round((1 / frame_rate_hz - self.phases * (self.times_us[table] * 1e-6 + read_s)) * modulation_hz)
+
+
+class BtaSettings(CameraSetup):
     """A camera of Bluetechnix, or one of its recordings."""
 
+    cannot: ClassVar = {"filters": "its filters are bits of registers: set `registers`, by the addresses of the device's manual"}
     library: str = Field("libbta.so", description="file of the BltTofApi; `bta.dll` on Windows")
     device: Literal["any", "ethernet", "usb", "uart", "bltstream"] = Field("any", description="how the camera is connected")
     address: str | None = Field(
@@ -45,9 +90,20 @@ class BtaSettings(CameraSettings):
     serial: int | None = Field(None, ge=1, description="serial number, where several are connected")
     recording: Path | None = Field(None, description="a `.bltstream` file to play in place of a camera")
     frame_mode: str = Field("xyz_amplitude", description=f"what a frame holds: {', '.join(bta.FRAME_MODES)}")
+    registers: dict[Word, Word] = Field(
+        default_factory=dict, description="values by the registers' addresses (0x1E0), written in this order, such as filters"
+    )
+    two_integrations: TwoIntegrations | None = Field(None, description="integration times of the tables T1 and T2 of the kits")
+
+    @model_validator(mode="after")
+    def _sets_a_camera(self) -> Self:
+        asked = (self.frame_rate_hz, self.integration_us, self.modulation_hz, self.registers, self.two_integrations)
+        if self.recording is not None and any(asked):
+            raise ValueError("a recording is played as it was taken: nothing can be set")
+        return self
 
 
-class BtaSource(CameraSource[BtaSettings]):
+class BtaSource(AdjustableSource[BtaSettings]):
     """A `FrameSource` of a camera of Bluetechnix."""
 
     Settings: ClassVar = BtaSettings
@@ -56,7 +112,7 @@ class BtaSource(CameraSource[BtaSettings]):
         super().__init__(name, settings, clock)
         if settings.frame_mode not in bta.FRAME_MODES:
             raise unknown_name("frame mode", settings.frame_mode, tuple(bta.FRAME_MODES))
-        if settings.lens is None and settings.frame_mode not in {"current", "xyz", "xyz_amplitude", "xyz_amplitude_flags"}:
+        if settings.lens is None and settings.frame_mode not in _WITH_POINTS:
             raise ConfigError(
                 f"frames of mode {settings.frame_mode} do not show the camera's intrinsics",
                 hint="state them with `lens`, or ask for xyz_amplitude",
@@ -67,6 +123,7 @@ class BtaSource(CameraSource[BtaSettings]):
         self._numbers = FrameNumbers(self.counts, _TURN)
         self._device_clock = DeviceClock(1000, _TURN)
         self._exposures: tuple[tuple[int, int], ...] = ()
+        self._counts_frames = False  # those that come before the device is set up do not
 
     def _missing(self) -> Sequence[str]:
         bta.version(bta.load_library(self.settings.library))
@@ -87,6 +144,12 @@ class BtaSource(CameraSource[BtaSettings]):
         bta.succeed(library.BTAopen(ctypes.byref(config), ctypes.byref(handle)), "BTAopen")
         del kept  # the library copies what the configuration points to
         self._library, self._handle = library, handle
+        try:
+            self._set_up()
+        except RecordingError:
+            self._disconnect()
+            raise
+        self._counts_frames = True
         self._state("camera", vendor="Bluetechnix", library=f"{major}.{minor}.{patch}", frame_mode=self.settings.frame_mode)
 
     def _fill(self, config: bta.Config) -> list[Any]:
@@ -110,9 +173,58 @@ class BtaSource(CameraSource[BtaSettings]):
             config.bltstream_file = str(settings.recording).encode()
         return kept
 
+    def _controls(self) -> Iterator[Control]:
+        """A longer exposure before a rate that has to fit it; registers last, since they may say anything."""
+        settings = self.settings
+        if settings.recording is not None:
+            return
+        put, get = partial(bta.put, self._library, self._handle), partial(bta.get, self._library, self._handle)
+        values = {"ModulationFrequency": "modulation_hz", "IntegrationTime": "integration_us", "FrameRate": "frame_rate_hz"}
+        for what, name in values.items():
+            yield Control(name, getattr(settings, name), partial(put, what), partial(get, what))
+        write = partial(bta.write_register, self._library, self._handle)
+        read = partial(bta.read_register, self._library, self._handle)
+        for address, value in settings.registers.items():
+            yield Control(f"registers.{address:#x}", value, partial(write, address), partial(read, address))
+        if (two := settings.two_integrations) is not None:
+            yield from (self._table(two, table) for table in (0, 1))
+
+    def _table(self, two: TwoIntegrations, table: int) -> Control:
+        """The integration time of a memory table, in periods of the modulation that the device has now."""
+        library, handle = self._library, self._handle
+
+        def now(what: str) -> float:
+            value = bta.get(library, handle, what)
+            if not value:
+                raise RefusedError(f"the device does not tell its {what}, which the table's times are in")
+            return value
+
+        def put(_: float) -> None:
+            modulation = now("ModulationFrequency")
+            words = {two.registers[table]: two.periods(table, modulation)}
+            if two.idle_registers is not None:
+                words[two.idle_registers[table]] = two.idle_periods(table, modulation, now("FrameRate"))
+            if min(words.values()) < 0:
+                raise RefusedError(f"{two.phases} phases of it take longer than a frame")
+            for address, word in words.items():
+                bta.write_register(library, handle, address, word)
+                if bta.read_register(library, handle, address) not in (word, None):
+                    raise RefusedError(f"register {address:#x} does not keep {word}")
+
+        def get() -> float | None:
+            word, modulation = (
+                bta.read_register(library, handle, two.registers[table]),
+                bta.get(library, handle, "ModulationFrequency"),
+            )
+            return None if word is None or not modulation else word / modulation * 1e6
+
+        return Control(f"two_integrations.T{table + 1}_us", two.times_us[table], put, get)
+
     def _arrived(self, handle: int | None, frame: Any) -> None:
         """Called by the library's thread, which frees the frame when this returns."""
         del handle
+        if not self._counts_frames:
+            return
         try:
             payload = bta.copied(frame.contents)
         except (MalformedFrameError, ValueError):  # ValueError: a null pointer
@@ -122,6 +234,7 @@ class BtaSource(CameraSource[BtaSettings]):
 
     def _disconnect(self) -> None:
         library, self._library = self._library, None
+        self._counts_frames = False
         if library is not None:
             library.BTAclose(ctypes.byref(self._handle))
         self._callback = None

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cabinpose.core import DependencyError, RecordingError
 from cabinpose.record.sources.tof.camera import MOST_PIXELS, MalformedFrameError
+from cabinpose.record.sources.tof.setup import RefusedError
 
 DISTANCE, AMPLITUDE, X, Y, Z, CONFIDENCE, FLAGS = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x40
 BALANCE, SIGMA = 0x10000, 0x20000
@@ -24,7 +25,7 @@ METRE, MILLIMETRE = 1, 3
 MOST_CHANNELS = 64
 FRAME_MODES: Mapping[str, int] = {
     "current": 0, "distance_amplitude": 1, "z_amplitude": 2, "distance_amplitude_flags": 3, "xyz": 4, "xyz_amplitude": 5,
-    "xyz_amplitude_flags": 7, "distance_amplitude_balance": 11, "distance_amplitude_confidence": 21,
+    "xyz_amplitude_flags": 7, "distance_amplitude_balance": 11, "distance_amplitude_confidence": 21, "channel_selection": 255,
 }  # fmt: skip
 _DTYPES: Mapping[int, str] = {0x11: "<u1", 0x12: "<u2", 0x14: "<u4", 0x22: "<i2", 0x24: "<i4", 0x34: "<f4", 0x38: "<f8"}
 _WHERE = "the BltTofApi comes with the camera, from Bluetechnix (becom Systems): name its library with `library`"
@@ -121,6 +122,14 @@ def declare(library: Any) -> Any:
         "BTAopen": (config, handle),
         "BTAclose": (handle,),
         "BTAisConnected": (_POINTER,),
+        "BTAsetIntegrationTime": (_POINTER, _U32),
+        "BTAgetIntegrationTime": (_POINTER, count),
+        "BTAsetFrameRate": (_POINTER, _F32),
+        "BTAgetFrameRate": (_POINTER, ctypes.POINTER(_F32)),
+        "BTAsetModulationFrequency": (_POINTER, _U32),
+        "BTAgetModulationFrequency": (_POINTER, count),
+        "BTAreadRegister": (_POINTER, _U32, count, count),
+        "BTAwriteRegister": (_POINTER, _U32, count, count),
     }
     for name, kinds in arguments.items():
         function = getattr(library, name)
@@ -143,6 +152,42 @@ def succeed(status: int, what: str) -> None:
     """Raise RecordingError for a status that is an error; warnings are above 0."""
     if status < 0:
         raise RecordingError(f"{what} failed with status {status}", hint="see bta_status.h; is the camera on and reachable?")
+
+
+_STATUSES: Mapping[int, str] = {
+    -32768: "out of the valid range", -32767: "not possible in the present configuration", -32766: "no answer in time",
+    -32765: "the device cannot be reached", -32764: "the connection is down", -32762: "the device did not react as expected",
+    -32760: "not supported by this device or its firmware",
+}  # fmt: skip
+
+
+def put(library: Any, handle: Any, what: str, value: float) -> None:
+    """`BTAset...` a value: "IntegrationTime" (µs), "FrameRate" (Hz), "ModulationFrequency" (Hz). Raises RefusedError."""
+    number = value if what == "FrameRate" else round(value)
+    _taken(f"BTAset{what}", getattr(library, f"BTAset{what}")(handle, number))
+
+
+def get(library: Any, handle: Any, what: str) -> float | None:
+    """`BTAget...` a value; None where the device does not tell."""
+    number: Any = _F32() if what == "FrameRate" else _U32()
+    status = getattr(library, f"BTAget{what}")(handle, ctypes.byref(number))
+    return None if status < 0 else float(number.value)
+
+
+def write_register(library: Any, handle: Any, address: int, value: int) -> None:
+    """Write one register of 32 bits. Raises RefusedError."""
+    _taken("BTAwriteRegister", library.BTAwriteRegister(handle, address, ctypes.byref(_U32(value)), None))
+
+
+def read_register(library: Any, handle: Any, address: int) -> int | None:
+    """The value of a register; None where the device does not tell."""
+    value = _U32()
+    return None if library.BTAreadRegister(handle, address, ctypes.byref(value), None) < 0 else value.value
+
+
+def _taken(what: str, status: int) -> None:
+    if status < 0:
+        raise RefusedError(_STATUSES.get(status, f"{what} gave status {status}"))
 
 
 def copied(frame: Frame) -> BtaFrame:

@@ -4,13 +4,17 @@ A buffer holds components, told apart by their data format: Coord3D_C16 or Coord
 _ABCY16 (points, the last with the intensity), Mono8 and Mono16 (amplitude), Confidence8 and Confidence16; a second Mono image
 is a confidence. Steps, offsets, unit and the mark of invalid pixels are read from the features of the standard (SFNC
 Scan3d...), the intrinsics from those of the standard or of Lucid (Calib...), or else fitted to points.
+
+The exposure is ExposureTime or, where a camera has a choice of few, ExposureTimeSelector (Exp1000Us); the rate is
+AcquisitionFrameRate. Filters are features by their vendor's names.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,17 +25,17 @@ from pydantic import Field
 from cabinpose.core import Camera, RecordingError, optional_module
 from cabinpose.record.sources.counting import FrameNumbers
 from cabinpose.record.sources.tof.camera import (
-    CameraSettings,
-    CameraSource,
     MalformedFrameError,
     depth_image,
     frame_of,
     rays_of_points,
     shaped,
 )
+from cabinpose.record.sources.tof.setup import AdjustableSource, CameraSetup, Control, FilterValue, RefusedError
 from cabinpose.signals import HostClock, ToFFrame
 
 _WHERE = "pip install harvesters, and name the camera vendor's GenTL producer (.cti) with `producer`"
+_EXPOSURE = re.compile(r"Exp(\d+(?:_\d+)?)Us")
 _COORDINATES = re.compile(r"Coord3D_(C|ABC|ABCY)(8|16s?|32f)$")
 _UNITS_M = {"Millimeter": 0.001, "Meter": 1.0, "Inch": 0.0254}
 _BLOCK_IDS = 65535  # of GigE Vision 1: 16 bits of which 0 is no id
@@ -44,12 +48,15 @@ _SETTINGS = (
 )  # fmt: skip
 
 
-class GenicamSettings(CameraSettings):
+class GenicamSettings(CameraSetup):
     """A camera that speaks GenICam."""
 
+    cannot: ClassVar = {
+        "modulation_hz": "the standard has no feature for it: set the vendor's own with `features`, such as OperatingMode"
+    }
     producer: Path = Field(description="the vendor's GenTL producer, a .cti file")
     serial: str | None = Field(None, description="serial number, where several are connected")
-    features: dict[str, bool | int | float | str] = Field(
+    features: dict[str, FilterValue] = Field(
         default_factory=dict, description="features to set before the frames start, in this order, such as PixelFormat"
     )
 
@@ -82,13 +89,14 @@ class _Scale:
     invalid: float | None
 
 
-class GenicamSource(CameraSource[GenicamSettings]):
+class GenicamSource(AdjustableSource[GenicamSettings]):
     """A `FrameSource` of a GenICam camera."""
 
     Settings: ClassVar = GenicamSettings
 
     def __init__(self, name: str, settings: GenicamSettings, clock: HostClock) -> None:
         super().__init__(name, settings, clock)
+        self._nodes: Any = None
         self._harvester: Any = None
         self._acquirer: Any = None
         self._errors: tuple[type[Exception], ...] = (RuntimeError, OSError, ValueError, IndexError)
@@ -132,19 +140,20 @@ class GenicamSource(CameraSource[GenicamSettings]):
     def _connect(self) -> None:
         harvester, key = self._load()
         acquirer: Any = None
-        errors: tuple[type[Exception], ...] = (*self._errors, AttributeError)
+        errors: tuple[type[Exception], ...] = (*self._errors, AttributeError, RecordingError)
         try:
             acquirer = harvester.create(key)
-            nodes = acquirer.remote_device.node_map
-            for feature, value in self.settings.features.items():
-                getattr(nodes, feature).value = value
+            nodes = self._nodes = acquirer.remote_device.node_map
+            self._set_up()
             self._scale, self._stated = _scale(nodes), _lens(nodes)
             acquirer.start()
         except errors as error:
             if acquirer is not None:
                 acquirer.destroy()
             harvester.reset()
-            raise RecordingError(f"the camera refuses to start: {error}", hint="check the names in `features`") from error
+            if isinstance(error, RecordingError):  # a value that was refused
+                raise
+            raise RecordingError(f"the camera refuses to start: {error}", hint="check the values in `features`") from error
         self._harvester, self._acquirer, self._failed = harvester, acquirer, False
         self._state(
             "camera",
@@ -154,6 +163,41 @@ class GenicamSource(CameraSource[GenicamSettings]):
             unit_m=self._scale.scale_m[2],
             settings={name: value for name in _SETTINGS if (value := _value(nodes, name)) is not None},
         )
+
+    def _controls(self) -> Iterator[Control]:
+        settings, nodes = self.settings, self._nodes
+        for key, features in (("features", settings.features), ("filters", settings.filters)):
+            for name, value in features.items():
+                yield Control(f"{key}.{name}", value, partial(self._put, name), partial(_plain, nodes, name))
+        yield Control("integration_us", settings.integration_us, self._expose, partial(_exposure, nodes))
+        yield Control("frame_rate_hz", settings.frame_rate_hz, self._pace, partial(_plain, nodes, "AcquisitionFrameRate"))
+
+    def _put(self, name: str, value: Any) -> None:
+        errors: tuple[type[Exception], ...] = (*self._errors, AttributeError, TypeError)
+        try:
+            getattr(self._nodes, name).value = value
+        except errors as error:
+            raise RefusedError(str(error) or f"{name} cannot be set") from error
+
+    def _expose(self, value: float) -> None:
+        if _value(self._nodes, "ExposureAuto") is not None:
+            self._put("ExposureAuto", "Off")
+        choices = _choices(self._nodes)
+        if not choices:
+            self._put("ExposureTime", value)
+        elif value in choices:
+            self._put("ExposureTimeSelector", choices[value])
+        else:
+            raise RefusedError(f"the camera has {', '.join(f'{time:g}' for time in sorted(choices))}")
+
+    def _pace(self, value: float) -> None:
+        if _value(self._nodes, "AcquisitionFrameRateEnable") is not None:
+            self._put("AcquisitionFrameRateEnable", True)
+        self._put("AcquisitionFrameRate", value)
+
+    def _remedy(self, names: Sequence[str]) -> str:
+        wrong = [name for name in names if name.startswith("features.")]
+        return f"check the names and values in `features`: {', '.join(wrong)}" if wrong else super()._remedy(names)
 
     def _disconnect(self) -> None:
         acquirer, harvester = self._acquirer, self._harvester
@@ -266,6 +310,28 @@ def _value(nodes: Any, name: str) -> Any:
         return getattr(nodes, name).value
     except Exception:  # noqa: BLE001 - as above
         return None
+
+
+def _plain(nodes: Any, name: str) -> FilterValue | None:
+    """The value of a feature as plain data; None where the camera does not tell."""
+    value = _value(nodes, name)
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def _choices(nodes: Any) -> dict[float, str]:
+    """The exposures that a camera has, µs, by the entries of ExposureTimeSelector; none where it takes any time."""
+    try:
+        entries = [str(entry) for entry in nodes.ExposureTimeSelector.symbolics]
+    except Exception:  # noqa: BLE001 - as above
+        return {}
+    found = ((entry, _EXPOSURE.fullmatch(entry)) for entry in entries)
+    return {float(match[1].replace("_", ".")): entry for entry, match in found if match}
+
+
+def _exposure(nodes: Any) -> FilterValue | None:
+    """What the camera exposes a phase for, µs; None where it does not tell."""
+    names = {entry: time for time, entry in _choices(nodes).items()}
+    return names.get(str(_value(nodes, "ExposureTimeSelector"))) if names else _plain(nodes, "ExposureTime")
 
 
 def _selected(nodes: Any, selector: str, entry: str, name: str) -> Any:

@@ -4,12 +4,16 @@ Royale delivers points in metres that are free of the lens' distortion, in the o
 amplitude image of the same pixels, which is not. Its newer versions give `DepthData.coordinates`, float32 (N, 4) x y z and
 confidence 0..1, and `DepthData.amplitudes`, uint16; the older ones points x y z noise grey confidence (0..255), `npoints()`.
 Time stamps are microseconds; Royale counts no frames, so losses are seen from the time between them.
+
+The exposure can be set within the limits of the use case, and is read from the frames; the frame rate is a whole number, up to
+the use case's. Filters are `FilterLevel` (Off, Full, Legacy ...) and Royale's processing parameters, which need access level 2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,16 +22,18 @@ from pydantic import Field
 
 from cabinpose.core import Camera, RecordingError, optional_module, pixel_error
 from cabinpose.record.sources.counting import FrameNumbers, FramePeriod
-from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource, depth_image, frame_of, rays_of_points, shaped
+from cabinpose.record.sources.tof.camera import depth_image, frame_of, rays_of_points, shaped
+from cabinpose.record.sources.tof.setup import AdjustableSource, CameraSetup, Control, RefusedError
 from cabinpose.signals import HostClock, ToFFrame
 
 _WHERE = "it comes with pmd's Royale SDK, from pmd or the camera's seller: put the SDK's python folder on PYTHONPATH"
 _POINTS_TO_COMPARE = 1000
 
 
-class RoyaleSettings(CameraSettings):
+class RoyaleSettings(CameraSetup):
     """A camera of pmd."""
 
+    cannot: ClassVar = {"modulation_hz": "Royale sets it with the use case: choose one with `use_case`"}
     serial: str | None = Field(None, description="the camera's id, where several are connected")
     use_case: str | None = Field(None, description="operation mode, such as MODE_9_15FPS_700; otherwise the camera's own")
 
@@ -48,7 +54,7 @@ class _Points:
     exposures_us: tuple[int, ...] = ()
 
 
-class RoyaleSource(CameraSource[RoyaleSettings]):
+class RoyaleSource(AdjustableSource[RoyaleSettings]):
     """A `FrameSource` of a camera of pmd."""
 
     Settings: ClassVar = RoyaleSettings
@@ -56,6 +62,7 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
     def __init__(self, name: str, settings: RoyaleSettings, clock: HostClock) -> None:
         super().__init__(name, settings, clock)
         self._camera: Any = None
+        self._roypy: Any = None
         self._listener: Any = None
         self._numbers = FrameNumbers(self.counts)
         self._period = FramePeriod()
@@ -91,6 +98,8 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
                 if wanted not in use_cases:
                     raise RecordingError(f"camera {chosen} has no use case {wanted}", hint=f"known: {', '.join(use_cases)}")
                 camera.setUseCase(wanted)
+            self._camera, self._roypy = camera, roypy
+            self._set_up()
             lens = camera.getLensParameters()
             self._stated = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
             rate = float(camera.getFrameRate()) if hasattr(camera, "getFrameRate") else 0.0
@@ -98,11 +107,62 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
             self._listener = self._make_listener(roypy)
             camera.registerDataListener(self._listener)
             camera.startCapture()
+        except RecordingError:
+            self._camera = None
+            raise
         except (RuntimeError, SystemError, KeyError, IndexError) as error:  # how SWIG says that a call failed
+            self._camera = None
             raise RecordingError(f"camera {chosen}: {error}", hint="is another program using it?") from error
-        self._camera = camera
         facts = {"id": chosen, "use_case": wanted or _current(camera), "use_cases": use_cases, "frame_rate_hz": rate or None}
         self._state("camera", vendor="pmd", **facts, lens=dict(self._stated))
+
+    def _controls(self) -> Iterator[Control]:
+        settings, camera = self.settings, self._camera
+        told = partial(_told, camera)
+        yield Control("integration_us", settings.integration_us, self._expose, lambda: None)  # frames tell what it is
+
+        def put_rate(value: float) -> None:
+            _take(camera, "setFrameRate", round(value))
+
+        yield Control("frame_rate_hz", settings.frame_rate_hz, put_rate, lambda: told("getFrameRate"))
+        for name, value in settings.filters.items():
+            if name == "FilterLevel":
+                level = "Off" if value is False else value  # as YAML reads Off
+                yield Control("filters.FilterLevel", level, self._filter, self._filter_level)
+            else:
+                put = partial(self._parameter, name)
+                yield Control(f"filters.{name}", value, put, partial(self._parameter_now, name))
+
+    def _expose(self, value: float) -> None:
+        """Expose by hand, within the limits of the use case."""
+        limits = _told(self._camera, "getExposureLimits")
+        if limits is not None and not limits.first <= value <= limits.second:
+            raise RefusedError(f"the use case takes {limits.first} to {limits.second}")
+        _take(self._camera, "setExposureMode", self._roypy.ExposureMode_MANUAL, 0)
+        _take(self._camera, "setExposureTime", round(value), 0)
+
+    def _filter(self, level: Any) -> None:
+        number = getattr(self._roypy, f"FilterLevel_{level}", None)
+        if number is None:
+            known = sorted(name.removeprefix("FilterLevel_") for name in dir(self._roypy) if name.startswith("FilterLevel_"))
+            raise RefusedError(f"this version of Royale knows {', '.join(known) or 'no filter levels'}")
+        _take(self._camera, "setFilterLevel", number, 0)
+
+    def _filter_level(self) -> str | None:
+        number = _told(self._camera, "getFilterLevel", 0)
+        names = (name for name in dir(self._roypy) if name.startswith("FilterLevel_"))
+        return next((n.removeprefix("FilterLevel_") for n in names if getattr(self._roypy, n) == number), None)
+
+    def _parameter(self, name: str, value: Any) -> None:
+        there = _told(self._camera, "getProcessingParameters", 0)
+        if there is not None and name not in there:
+            raise RefusedError(f"the camera's parameters are {', '.join(sorted(there))}")
+        if there is not None and isinstance(there[name], float):
+            value = float(value)  # Royale tells whole numbers and others apart
+        _take(self._camera, "setProcessingParameters", {name: value}, 0)
+
+    def _parameter_now(self, name: str) -> Any:
+        return (_told(self._camera, "getProcessingParameters", 0) or {}).get(name)
 
     def _make_listener(self, roypy: Any) -> Any:
         """Royale calls `onNewData` on a thread of its own, and frees the frame when it returns."""
@@ -155,6 +215,8 @@ class RoyaleSource(CameraSource[RoyaleSettings]):
         if payload.exposures_us != self._exposures_us:
             self._exposures_us = payload.exposures_us
             self._state("exposure", phases_us=list(payload.exposures_us))
+            if payload.exposures_us:
+                self._has("integration_us", max(payload.exposures_us))  # a phase that is read for the grey image is shorter
         points = shaped(payload.points, width, height, 3)
         confidence = shaped(payload.confidence, width, height)
         valid = (confidence > 0) & (points[..., 2] > 0)
@@ -190,6 +252,24 @@ def _roypy() -> Any:
     if hasattr(found, "CameraManager"):
         return found
     return optional_module("roypy.roypy", purpose="a pmd camera", hint=_WHERE)
+
+
+def _take(camera: Any, method: str, *values: Any) -> None:
+    """Call a method that sets something. Raises RefusedError."""
+    try:
+        getattr(camera, method)(*values)
+    except AttributeError as error:
+        raise RefusedError(f"this version of Royale has no {method}") from error
+    except (RuntimeError, SystemError, ValueError, TypeError, OverflowError) as error:  # how SWIG says that a call failed
+        raise RefusedError(str(error) or method) from error
+
+
+def _told(camera: Any, method: str, *values: Any) -> Any:
+    """What a method tells; None where this version or this camera does not."""
+    try:
+        return getattr(camera, method)(*values)
+    except (AttributeError, RuntimeError, SystemError, TypeError):
+        return None
 
 
 def _strings(vector: Any) -> list[str]:
