@@ -384,3 +384,61 @@ def test_cameras_of_extensions_are_offered(extension: Callable[..., None], tmp_p
 
     with pytest.warns(UserWarning, match="of broken cannot be loaded: RuntimeError: no licence"):
         used(Workspace(), steps)
+
+
+ADJUSTABLE = """
+from typing import ClassVar
+import numpy as np
+from cabinpose.core import Camera
+from cabinpose.record.sources import FrameNumbers
+from cabinpose.record.sources.tof import AdjustableSource, CameraSetup, Control, RefusedError, frame_of
+class Settings(CameraSetup):
+    cannot: ClassVar = {"modulation_hz": "it is fixed"}
+class Source(AdjustableSource):
+    Settings: ClassVar = Settings
+    def _controls(self):
+        have = {"integration_us": 1000, "frame_rate_hz": 25}
+        def put(name, value):
+            if value > 1000:
+                raise RefusedError("up to 1000")
+            have[name] = value // 16 * 16 if name == "integration_us" else value
+        for name in have:
+            yield Control(name, getattr(self.settings, name), lambda value, n=name: put(n, value), lambda n=name: have[n])
+    def _connect(self):
+        self._set_up()
+        self._numbers = FrameNumbers(self.counts)
+    def _wait(self, timeout_s):
+        self._clock.sleep(0.05)
+        self._deliver(None)
+    def _disconnect(self): ...
+    def _alive(self): return True
+    def _number(self, payload, host_ns): return self._numbers.forward(), host_ns
+    def _decode(self, payload):
+        return frame_of(Camera(8, 6, 8.0, 8.0, 4.0, 3.0), np.full((6, 8), 4000, np.uint16), 0.00025)
+"""
+
+
+def test_a_camera_is_set_up_in_its_panel(extension: Callable[..., None]) -> None:
+    """Fields of the keys that the kind has; what the camera has then is shown, and what it refuses."""
+    extension("acme", {"sources": {"acme": "Source"}}, ADJUSTABLE)
+
+    async def steps(user: User) -> None:
+        user.find("Live", kind=ui.tab).click()
+        source, fields = marked(user, "source"), ("integration_us", "frame_rate_hz", "modulation_hz")
+        source.value = "simulated"
+        assert [marked(user, field).visible for field in fields] == [False] * 3
+        source.value = "bta"
+        assert [marked(user, field).visible for field in fields] == [True] * 3
+        source.value = "acme"
+        assert [marked(user, field).visible for field in fields] == [True, True, False]
+        marked(user, "integration_us").value = 500
+        user.find("Start").click()
+        await user.should_see("integration_us 496 (asked 500), frame_rate_hz 25", retries=100)
+        marked(user, "integration_us").value = 5000
+        user.find("Start").click()
+        await user.should_see("the camera refuses integration_us 5000: up to 1000", retries=100)
+        user.find("settings").type("integration_us=3")
+        user.find("Start").click()
+        await user.should_see("integration_us is given twice", retries=100)
+
+    used(Workspace(), steps)
