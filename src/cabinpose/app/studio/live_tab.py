@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ class LiveTab:
             for key, label in _LABELS.items()
         }
         for key, field in self._numbers.items():
-            field.bind_visibility_from(self._source, "value", lambda source, key=key: key in _keys_of(source))
+            field.bind_visibility_from(self._source, "value", partial(_has, key))
         self._settings = ui.textarea("settings, KEY=VALUE a line", placeholder="use_case=MODE_9_5FPS_2000").props(
             "dense outlined autogrow"
         )
@@ -207,6 +208,10 @@ class LiveTab:
 def _keys_of(source: str) -> tuple[str, ...]:
     """What can be set of a source by number; nothing of a file."""
     return adjustable(SOURCES[source]) if source in SOURCES.names() else ()
+
+
+def _has(key: str, source: str) -> bool:
+    return key in _keys_of(source)
 
 
 def _with_numbers(settings: dict[str, Any], numbers: dict[str, float | None]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from cabinpose.core import RecordingError
 from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource
-from cabinpose.signals import SETUP
+from cabinpose.signals import SETUP, HostClock
 
 _SAME = 1e-3  # of a value: what is read back is the same up to this, since cameras have clocks and registers of few bits
 _REFUSED = "refused"
@@ -70,8 +70,8 @@ SetupT = TypeVar("SetupT", bound=CameraSetup)
 class AdjustableSource(CameraSource[SetupT]):
     """A camera whose values are set. `_connect` of a subclass calls `_set_up` before its frames count."""
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
+    def __init__(self, name: str, settings: SetupT, clock: HostClock | None = None) -> None:
+        super().__init__(name, settings, clock)
         self._values: dict[str, dict[str, Any]] = {}
         self._was_set_up = False
 
