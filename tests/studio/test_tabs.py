@@ -420,15 +420,15 @@ class Source(AdjustableSource):
 
 def test_a_camera_is_set_up_in_its_panel(extension: Callable[..., None]) -> None:
     """Fields of the keys that the kind has; what the camera has then is shown, and what it refuses."""
-    extension("acme", {"sources": {"acme": "Source"}}, ADJUSTABLE)
+    extension("adjustable", {"sources": {"adjustable": "Source"}}, ADJUSTABLE)
 
     async def steps(user: User) -> None:
         user.find("Live", kind=ui.tab).click()
         source, fields = marked(user, "source"), ("integration_us", "frame_rate_hz", "modulation_hz")
-        for kind, there in (("simulated", ()), ("bta", fields), ("acme", fields[:2])):
+        for kind, there in (("simulated", ()), ("bta", fields), ("adjustable", fields[:2])):
             source.value = kind
             for field in fields:
-                await (user.should_see if field in there else user.should_not_see)(marker=field)
+                await (user.should_see if field in there else user.should_not_see)(marker=field, retries=100)
         marked(user, "integration_us").value = 500
         user.find("Start").click()
         await user.should_see("integration_us 496 (asked 500), frame_rate_hz 25", retries=100)
