@@ -156,7 +156,7 @@ frames = StoredFrames(small.dataset(8), frame_spec(c))
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 400_000_000,) * 2)
 try:
-    fit(c, frames, frames, Path({str(tmp_path)!r}), machines=ONE)
+    fit(c, frames, frames, Path({str(tmp_path)!r}), machines=Machines(1))
 except ConfigError as error:
     print(error)
 """
