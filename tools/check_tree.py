@@ -52,7 +52,7 @@ ANY_BITS = {
 }
 _ELEMENTARY = re.compile(
     r"(np|math)\.(a?(sin|cos|tan)|arc\w+|atan2|exp2?|expm1|log(10|2|1p|addexp)?|pow(er)?|hypot|\w+h|cbrt|dist|dot|vdot|inner|matmul|tensordot|convolve"
-    r"|correlate|cov|corrcoef|polyfit|partition|argpartition)|np\.linalg\.(?!norm$|LinAlgError$)\w+"
+    r"|correlate|cov|corrcoef|polyfit|roots|partition|argpartition)|np\.linalg\.(?!norm$|LinAlgError$)\w+"
 )
 _SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 MAX_BYTES = 10_000_000

@@ -189,6 +189,16 @@ def test_a_ray_ends_where_the_polynomial_folds() -> None:
         assert lens.monotonic_radius == pytest.approx(r[np.argmax(falls)], abs=3e-5)
 
 
+def test_where_a_polynomial_folds_is_its_derivatives_first_root() -> None:
+    rng = np.random.default_rng(7)
+    for scale in (0.1, 1.0, 100.0):
+        for k1, k2, k3 in rng.standard_normal((300, 3)) * (scale, scale, scale) * rng.integers(0, 2, (300, 3)):
+            roots = np.roots((7 * k3, 5 * k2, 3 * k1, 1.0))  # of r^2
+            folds = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+            lens = Camera(**MONSTAR, dist=(k1, k2, 0.0, 0.0, k3))  # type: ignore[arg-type]
+            assert lens.monotonic_radius == pytest.approx(np.sqrt(folds.min()) if len(folds) else np.inf, rel=1e-7)
+
+
 def test_a_lens_is_looked_at_wherever_one_is_given() -> None:
     """Sensors, calibrations, rigs and imports."""
     bent = (1e6, 0.0, 0.0, 0.0, 0.0)

@@ -171,7 +171,7 @@ def test_the_packages_own_face_is_of_app(check_tree: ModuleType) -> None:
 @pytest.mark.parametrize(
     "code",
     ["a @ b", "x ** 3", "x ** 0.5", "np.sin(x)", "math.atan2(y, x)", "np.linalg.inv(a)", "np.linalg.norm(a)", "np.argsort(a)",
-     "np.partition(a, 3)", "np.arccos(x)", "np.log10(x)"],
+     "np.partition(a, 3)", "np.arccos(x)", "np.log10(x)", "np.roots(p)"],
 )  # fmt: skip
 def test_what_differs_between_processors_is_found_where_datasets_are_made(check_tree: ModuleType, code: str) -> None:
     assert len(list(check_tree.arithmetic_breaches("src/cabinpose/synth/a.py", code))) == 1

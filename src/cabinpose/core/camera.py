@@ -26,6 +26,7 @@ _NARROWEST_DEG, _WIDEST_DEG = 1.0, 170.0
 _FEWEST_RAYS, _NEAREST, _FARTHEST = 1 / 3, 1 / 3, 8.0
 _FARTHEST_CENTRE = 2.0  # of the principal point from the middle of the image, over half the image
 _GRID = 17  # points a side that are looked at
+_ROUNDED = 1e-7  # of the size of a cubic's coefficients: a double root at 0 is as far off by rounding
 _TANGENTIAL = 1.02  # what tangential distortion may add to the radius at which the model folds
 
 
@@ -92,9 +93,18 @@ class Camera:
     def monotonic_radius(self) -> float:
         """The ideal radius (tangent of the angle off axis) up to which radial distortion grows with it; infinite: everywhere."""
         k1, k2, _, _, k3 = self.dist
-        roots = np.roots((1.0, 3 * k1, 5 * k2, 7 * k3))  # of d(r + k1 r^3 + k2 r^5 + k3 r^7) / dr, over 1 / r^2
-        folds = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
-        return 1.0 / math.sqrt(float(folds.max())) if len(folds) else math.inf
+        # d(r + k1 r^3 + k2 r^5 + k3 r^7) / dr = 0 is x^3 + 3 k1 x^2 + 5 k2 x + 7 k3 = 0 of x = 1 / r^2, and t^3 + p t + q = 0 of
+        # t = x + k1. Its greatest root by Viete's formula where there are three, else by Cardano's.
+        p, q = 5 * k2 - 3 * k1 * k1, k1 * (2 * k1 * k1 - 5 * k2) + 7 * k3
+        discriminant = q * q / 4 + p * p * p / 27
+        if discriminant <= 0:
+            size = 2 * math.sqrt(max(-p, 0.0) / 3)
+            t = size * rp.cos(rp.arccos(max(-1.0, min(3 * q / (p * size), 1.0))) / 3) if p * size < 0 else 0.0
+        else:
+            u = math.copysign(rp.power(abs(q) / 2 + math.sqrt(discriminant), 1 / 3), -q)
+            t = u - p / (3 * u)
+        none = _ROUNDED * (abs(k1) + math.sqrt(abs(k2)) + rp.power(abs(k3), 1 / 3))
+        return 1.0 / math.sqrt(t - k1) if t - k1 > none else math.inf
 
     @classmethod
     def from_fov(

@@ -71,7 +71,7 @@ def invert(a_from_b: Matrix) -> Matrix:
     result = np.zeros_like(a_from_b)
     rotation_t = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
     result[..., :3, :3] = rotation_t
-    result[..., :3, 3] = -(rp.matmul(rotation_t, a_from_b[..., :3, 3, None]))[..., 0]
+    result[..., :3, 3] = -rp.matmul(rotation_t, a_from_b[..., :3, 3, None])[..., 0]
     result[..., 3, 3] = 1.0
     return result
 

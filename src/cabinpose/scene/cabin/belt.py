@@ -157,7 +157,7 @@ class _Trunk(NamedTuple):
     def shoulder_at(self, anchor: Vector) -> Vector:
         """The shoulder beside an anchor; a place between the two where somebody leans so far that both are about as near."""
         left, right = self.at["lshoulder"], self.at["rshoulder"]
-        nearer_m = float(rp.norm(right - anchor) - rp.norm(left - anchor))
+        nearer_m = rp.norm(right - anchor) - rp.norm(left - anchor)
         share = float(smoothstep(nearer_m, -_BETWEEN_M, _BETWEEN_M))
         return np.asarray(share * left + (1.0 - share) * right)
 

@@ -124,7 +124,7 @@ def sampled_surface(corners: Floats, spacing: float) -> Floats:
     for n in np.unique(pieces):
         i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
         weights = np.stack((n - i - j, i, j), axis=1) / n
-        points.append((rp.matmul(weights, corners[pieces == n])).reshape(-1, 3))
+        points.append(rp.matmul(weights, corners[pieces == n]).reshape(-1, 3))
     every = np.concatenate(points)
     first, _ = welded(every)
     # In order of place: the nearest triangle of one point is then a good guess for the next.

@@ -76,8 +76,8 @@ def lens_maps(sensor: Sensor, supersample: int) -> LensMaps:
     return LensMaps(
         centre,
         in_parts(centre if supersample == 1 else _factor(camera.scaled(supersample)), supersample),
-        (rp.power(cosine, sensor.vignetting_exponent)).astype(np.float32),
-        (rp.power(cosine, sensor.illumination_exponent)).astype(np.float32),
+        rp.power(cosine, sensor.vignetting_exponent).astype(np.float32),
+        rp.power(cosine, sensor.illumination_exponent).astype(np.float32),
         field,
     )
 

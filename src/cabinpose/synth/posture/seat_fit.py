@@ -99,7 +99,7 @@ def fit_child_seat(person: Person, seat: Seat, torso_angle: float, sitting: Sitt
     planes = np.array([out[[0, 2]], off[[0, 2]]])
     x, z = rp.solve(planes, (rp.matmul(out, behind) + _HIP_OFF_M[0], rp.matmul(off, base) + _HIP_OFF_M[1]))
     hip = np.array([x, corner[1], z])
-    front = float(rp.hypot(*(rp.matmul(seat_from_thing, (sitting.front_m, 0.0, sitting.cushion[0], 1.0)))[[0, 2]] - hip[[0, 2]]))
+    front = float(rp.hypot(*rp.matmul(seat_from_thing, (sitting.front_m, 0.0, sitting.cushion[0], 1.0))[[0, 2]] - hip[[0, 2]]))
     measures = (tilt, _HIP_OFF_M[1] / rp.cos(tilt), _HIP_OFF_M[0], lean, front)
     rounded = [round(float(measure), 6) for measure in measures]
     fit = _fit(person, rounded[0], rounded[1], rounded[2], rounded[3], rounded[4], _ON_PADDING)
