@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
 
@@ -9,6 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from cabinpose.signals import FrameSource
 from cabinpose.signals.recorded import (
     Channels,
     Facts,
@@ -143,4 +146,14 @@ def take_samples(count: int, *, rng: np.random.Generator) -> list[tuple[str, Sam
         message, source = [(poses(rng=rng), "suit"), (markers(rng=rng), "optical"), (tof_frame(rng=rng), "tof")][i % 3]
         raw = b"" if source == "tof" else rng.bytes(20)
         samples.append((source, Sample(100 + i // 3, time, 5_000 + i, raw, (message,))))
+    return samples
+
+
+def samples_until(source: FrameSource, enough: Callable[[list[Sample]], bool], *, patience_s: float) -> list[Sample]:
+    """The samples of a source that is open, up to those that are enough; an AssertionError where they do not come."""
+    samples: list[Sample] = []
+    end = time.monotonic() + patience_s
+    while not enough(samples):
+        assert time.monotonic() < end, "the samples did not come"
+        samples += source.read(0.1)
     return samples

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from recorded_things import samples_until
 from scipy.spatial.transform import Rotation
 
 from cabinpose.core.errors import DependencyError, RecordingError
@@ -20,6 +22,7 @@ from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Channels, Facts, Sample, SegmentPoses
 
 PATIENCE_S = 120.0  # of a busy machine
+until = partial(samples_until, patience_s=PATIENCE_S)
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +53,6 @@ def outlet(pylsl: ModuleType, name: str, form: str = "double64", labels: tuple[s
 
 def make(name: str, **settings: Any) -> LslSource:
     return LslSource("lab", LslSettings(stream=name, source_id=f"id-{name}-{os.getpid()}", **settings), HostClock())
-
-
-def until(source: LslSource, enough: Callable[[list[Sample]], bool]) -> list[Sample]:
-    samples: list[Sample] = []
-    end = time.monotonic() + PATIENCE_S
-    while not enough(samples):
-        assert time.monotonic() < end, "the samples did not come"
-        samples += source.read(0.1)
-    return samples
 
 
 def numbered(samples: list[Sample]) -> list[Sample]:

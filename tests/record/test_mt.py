@@ -7,9 +7,9 @@ import os
 import re
 import socket
 import struct
-import time
 import tty
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from pydantic import ValidationError
+from recorded_things import samples_until
 
 from cabinpose.app.mocap.inputs import read_orientations
 from cabinpose.core import MVN_SEGMENTS
@@ -32,6 +33,7 @@ from cabinpose.signals import Facts, HostClock, Sample, SensorReadings
 ONE = "03880C2A"
 TWO = (ONE, "03880C2B")
 PATIENCE_S = 20.0
+until = partial(samples_until, patience_s=PATIENCE_S)
 # GoToConfig, its answer and GoToMeasurement as the vendor's documentation prints them.
 PRINTED = {0x30: "FA FF 30 00 D1", 0x31: "FA FF 31 00 D0", 0x10: "FA FF 10 00 F1"}
 
@@ -77,15 +79,6 @@ def source_of(port: str, devices: tuple[str, ...] = (ONE,), **settings: Any) -> 
     return MtSource("trackers", MtSettings(port=Path(port), sensors=sensors, **settings), HostClock())
 
 
-def until(source: MtSource, enough: Callable[[list[Sample]], bool]) -> list[Sample]:
-    samples: list[Sample] = []
-    end = time.monotonic() + PATIENCE_S
-    while not enough(samples):
-        assert time.monotonic() < end, "the samples did not come"
-        samples += source.read(0.1)
-    return samples
-
-
 def readings(samples: list[Sample], name: str = "head") -> list[SensorReadings]:
     return [m for s in samples for m in s.messages if isinstance(m, SensorReadings) and m.subject == name]
 
@@ -129,10 +122,11 @@ def test_a_tracker_of_hand_written_bytes(line: Line) -> None:
     """Its counter wraps and loses two packets, one message has a wrong checksum: counted, and the rest is right."""
     told = b"\x10\x20\xff\xff\x20\x10\x00\x64"
     source = source_of(str(line.port))
+    configured = framed(0xFF, 0x31, b"")  # before the take, and when it ends
     replies = iter(
-        [framed(0xFF, 0x31, b""), framed(0xFF, 1, bytes.fromhex(ONE)), framed(0xFF, 0xC1, told), framed(0xFF, 0x11, b"")]
+        [configured, framed(0xFF, 1, bytes.fromhex(ONE)), framed(0xFF, 0xC1, told), framed(0xFF, 0x11, b""), configured]
     )
-    source._write = lambda _: os.write(line.device, next(replies))  # type: ignore[method-assign, assignment]
+    source._line.send = lambda _: os.write(line.device, next(replies))  # type: ignore[method-assign, assignment]
     source.open()
     damaged = bytearray(framed(0xFF, 0x36, packet(2, 70)))
     damaged[20] ^= 1

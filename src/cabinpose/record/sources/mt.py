@@ -9,9 +9,7 @@ them in turn: a gap is a packet that was lost, whichever tracker's it was. `devi
 
 from __future__ import annotations
 
-import os
 import re
-import select
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +22,7 @@ from cabinpose.record.sources import mt_protocol as mt
 from cabinpose.record.sources.base import DeviceSource
 from cabinpose.record.sources.counting import DeviceClock, FrameNumbers
 from cabinpose.record.sources.mt_protocol import XbusMessage, XbusSplitter
-from cabinpose.record.sources.serial_line import open_serial_line
+from cabinpose.record.sources.serial_line import SerialLine
 from cabinpose.signals import Facts, HostClock, Message, Sample, SensorReadings
 
 _ASK_AGAIN_S = 0.3
@@ -67,7 +65,7 @@ class MtSource(DeviceSource[MtSettings]):
 
     def __init__(self, name: str, settings: MtSettings, clock: HostClock) -> None:
         super().__init__(name, settings, clock)
-        self._fd = -1
+        self._line = SerialLine(settings.port, settings.baud, lost=("tracker", "look at cable and power"))
         self._numbers = FrameNumbers(self.counts, mt.COUNTER_VALUES * len(settings.sensors), late=16 * len(settings.sensors))
         self._device_clock = DeviceClock(mt.TICK_NS, 1 << 32)
         self._names: dict[int, str] = {}  # by bus id
@@ -86,7 +84,7 @@ class MtSource(DeviceSource[MtSettings]):
 
     def _connect(self) -> None:
         """Find the trackers, set what they send, and let them measure."""
-        self._fd = open_serial_line(self.settings.port, self.settings.baud)
+        self._line.open()
         try:
             self._splitter = XbusSplitter()
             self._names = self._found()
@@ -103,11 +101,10 @@ class MtSource(DeviceSource[MtSettings]):
         self._status.clear()
 
     def _disconnect(self) -> None:
-        fd, self._fd = self._fd, -1
-        if fd >= 0:
-            with suppress(OSError):  # the line may be what failed
-                os.write(fd, mt.encode(XbusMessage(mt.MASTER, mt.TO_CONFIG, b"")))
-            os.close(fd)
+        if self._line.is_open:
+            with suppress(RecordingError):  # the line may be what failed
+                self._line.send(mt.encode(XbusMessage(mt.MASTER, mt.TO_CONFIG, b"")))
+            self._line.close()
 
     def _read(self, timeout_s: float) -> Sequence[Sample]:
         """The packets that have come, and what is to be told of the trackers."""
@@ -115,7 +112,7 @@ class MtSource(DeviceSource[MtSettings]):
         samples: list[Sample] = []
         while not samples:
             left = until - self._clock.now_s()
-            messages = self._receive(max(left, 0.0))
+            messages = self._splitter.feed(self._line.receive(max(left, 0.0)))
             host_ns = self._clock.now_ns()
             self.counts.malformed, self._splitter.malformed = self.counts.malformed + self._splitter.malformed, 0
             for message in messages:
@@ -208,10 +205,10 @@ class MtSource(DeviceSource[MtSettings]):
         """The answer, asked for again and again. Raises RecordingError where none comes, or an error does."""
         until = self._clock.now_s() + (_ASK_AGAIN_S if optional else self.settings.answer_s)
         while self._clock.now_s() < until:
-            self._write(mt.encode(question))
+            self._line.send(mt.encode(question))
             again = min(self._clock.now_s() + _ASK_AGAIN_S, until)
             while (left := again - self._clock.now_s()) > 0:
-                for message in self._receive(left):
+                for message in self._splitter.feed(self._line.receive(left)):
                     if message.kind == mt.ERROR:
                         raise RecordingError(
                             f"{self.settings.port}: a tracker refuses message 0x{question.kind:02X}: {_error(message)}",
@@ -223,28 +220,6 @@ class MtSource(DeviceSource[MtSettings]):
         raise RecordingError(
             f"{self.settings.port}: {what} within {self.settings.answer_s:g} s to message 0x{question.kind:02X}",
             hint="check power, port and baud (115200 unless changed), and that no other program holds the line",
-        )
-
-    def _receive(self, wait_s: float) -> list[XbusMessage]:
-        try:
-            if not select.select([self._fd], [], [], wait_s)[0]:
-                return []
-            data = os.read(self._fd, 65536)
-            if not data:
-                raise OSError("end of the line")
-        except OSError as error:
-            raise self._lost(error) from error
-        return self._splitter.feed(data)
-
-    def _write(self, data: bytes) -> None:
-        try:
-            os.write(self._fd, data)
-        except OSError as error:
-            raise self._lost(error) from error
-
-    def _lost(self, error: OSError) -> RecordingError:
-        return RecordingError(
-            f"{self.settings.port}: the line to the tracker is lost ({error.strerror or error})", hint="look at cable and power"
         )
 
 

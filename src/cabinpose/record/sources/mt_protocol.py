@@ -7,6 +7,7 @@ nibble of a data id says the format of its numbers and the world's axes.
 References
 ----------
 Movella, "MT Low Level Communication Protocol Documentation" (MT0101P).
+The vendor's public headers have the same numbers: `xsxbusmessageid.h`, `xsdataidentifier.h`, `xsresultvalue.h` of its MT SDK.
 """
 
 from __future__ import annotations

@@ -12,9 +12,7 @@ GRBL 1.1, "Interface" and "Commands" (gnea/grbl, doc/markdown): `?`, `!` and Ctr
 
 from __future__ import annotations
 
-import os
 import re
-import select
 from collections.abc import Generator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +22,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core import RecordingError, SourceEndedError
-from cabinpose.record.sources.serial_line import open_serial_line
+from cabinpose.record.sources.serial_line import SerialLine
 from cabinpose.signals import MOTOR_CHANNELS, Channels, Counts, HostClock, Sample
 
 AXES = "XYZABC"
@@ -86,7 +84,8 @@ class StepperSource:
     def __init__(self, name: str, settings: StepperSettings, clock: HostClock) -> None:
         self.name, self.settings, self._clock = name, settings, clock
         self.counts = Counts()
-        self._fd = -1
+        hint = "the motor ends the step that it was at: look at it, then at the cable"
+        self._line = SerialLine(settings.port, settings.baud, lost=("controller", hint))
         self._text = b""
         self._garbled = self._may_turn = False
         self._said = ""  # the last status
@@ -104,7 +103,7 @@ class StepperSource:
 
     def open(self) -> None:
         """Open the line and wait for the controller, which opening may have reset. Nothing turns."""
-        self._fd = open_serial_line(self.settings.port, self.settings.baud)
+        self._line.open()
         self._text, self._garbled, self._may_turn = b"", False, False
         until = self._clock.now_s() + self.settings.answer_s
         state = ""
@@ -131,14 +130,14 @@ class StepperSource:
 
     def close(self) -> None:
         """Stop the motor, if it was sent anywhere, and close the line."""
-        if self._fd < 0:
+        if not self._line.is_open:
             return
         with suppress(RecordingError):  # the line may be what failed
             for piece in _STOPS[self.settings.dialect] if self._may_turn else ():
-                self._send(piece)
+                self._line.send(piece)
                 self._clock.sleep(2 * _BEAT_S)  # GRBL slows down before the reset, so that it keeps its position
-        os.close(self._fd)
-        self._fd, self._may_turn = -1, False
+        self._line.close()
+        self._may_turn = False
 
     def _protocol(self) -> Steps:
         settings, axis = self.settings, self.settings.axis
@@ -213,7 +212,7 @@ class StepperSource:
 
     def _answer(self, question: bytes, end: str, within_s: float) -> Generator[None, None, list[str]]:
         """What comes up to a line that begins with `end`. Raises RecordingError for a refusal, _NoAnswerError for none."""
-        self._send(question)
+        self._line.send(question)
         told, lines = question.decode().strip(), []
         until = self._clock.now_s() + within_s
         while self._clock.now_s() < until:
@@ -233,14 +232,7 @@ class StepperSource:
 
     def _lines(self, told: str) -> list[str]:
         """The whole lines that have come since, after a short wait."""
-        try:
-            if select.select([self._fd], [], [], _LOOK_S)[0]:
-                data = os.read(self._fd, 4096)
-                if not data:
-                    raise OSError("end of the line")
-                self._text += data
-        except OSError as error:
-            raise self._lost(error) from error
+        self._text += self._line.receive(_LOOK_S)
         *whole, self._text = self._text.split(b"\n")
         self._text = self._text[-4096:]
         lines = [line.decode("latin-1").strip("\r\0 ") for line in whole]
@@ -253,18 +245,6 @@ class StepperSource:
                     hint="its manual has the number; after an ALARM unlock it ($X) or home it, and check the axis' limits",
                 )
         return [line for line in lines if line]
-
-    def _send(self, data: bytes) -> None:
-        try:
-            os.write(self._fd, data)
-        except OSError as error:
-            raise self._lost(error) from error
-
-    def _lost(self, error: OSError) -> RecordingError:
-        return RecordingError(
-            f"{self.settings.port}: the line to the controller is lost ({error.strerror or error})",
-            hint="the motor ends the step that it was at: look at it, then at the cable",
-        )
 
     def _no_answer(self, told: str, within_s: float) -> _NoAnswerError:
         if self._garbled:
