@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from cabinpose.core.camera import Camera
 
@@ -111,7 +111,7 @@ def fit_camera(xy: ArrayLike, *, start: Camera | None = None, distorted: bool = 
 
     bounds = np.full((2, len(begin)), np.inf) * [[-1], [1]]
     bounds[0, :2] = 1e-3  # focal lengths are positive
-    solved = least_squares(
+    solved = scipy.optimize.least_squares(
         residual, begin, bounds=bounds, x_scale=np.where(begin == 0, 0.1, np.abs(begin)), xtol=1e-12, ftol=1e-12
     )
     camera = _camera(width, height, solved.x)

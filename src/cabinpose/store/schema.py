@@ -155,7 +155,7 @@ def _is_none(value: object) -> bool:
 class LabelRow(BaseModel):
     """A pixel class: id, name and sRGB colour 0xRRGGBB; ticam: the class of TICaM's masks, where there are things."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     id: Annotated[int, Field(ge=0, le=255)]
     name: Annotated[str, Field(pattern=r"^\S+$")]
     rgb: Annotated[int, Field(ge=0, le=0xFFFFFF)]
@@ -218,7 +218,7 @@ class Manifest(BaseModel):
     checksum: as the file states it; None where it was written before there was one, and in a manifest that is not of a file.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     schema_name: Literal["cabinpose-dataset"] = Field(default=SCHEMA, alias="schema")
     schema_version: Literal[1] = SCHEMA_VERSION

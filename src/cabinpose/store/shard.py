@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import google_crc32c
 import numpy as np
-from numcodecs import blosc  # type: ignore[import-untyped]
-from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from cabinpose.store.schema import DEPTH_SCALE_M
@@ -26,9 +25,16 @@ _LONGEST_TEXT = 1 << 28  # bytes of all texts of a variable in a part
 _ABSENT = 0xFFFF_FFFF_FFFF_FFFF  # index entry of a chunk that was never written
 _INDEX_BYTES = FRAMES_PER_SHARD * 16 + 4
 
-# Blosc's own threads would decide where blocks are cut, and with it the bytes.
-blosc.use_threads = False
-_blosc = blosc.Blosc("lz4", LEVEL, blosc.BITSHUFFLE)
+
+@cache
+def _codecs() -> tuple[Any, Any]:
+    """Blosc, and the codec of texts."""
+    from numcodecs import blosc  # type: ignore[import-untyped]  # noqa: PLC0415 - 0.1 s, which `--help` does without
+    from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]  # noqa: PLC0415 - as above
+
+    # Blosc's own threads would decide where blocks are cut, and with it the bytes.
+    blosc.use_threads = False
+    return blosc.Blosc("lz4", LEVEL, blosc.BITSHUFFLE), VLenUTF8()
 
 
 def with_checksum(data: bytes) -> bytes:
@@ -45,13 +51,13 @@ def checked(data: bytes) -> bytes:
 
 def compressed(data: NDArray[Any] | bytes) -> bytes:
     """One chunk as it stands on disk; arrays are shuffled by their own item size."""
-    return with_checksum(_blosc.encode(data))
+    return with_checksum(_codecs()[0].encode(data))
 
 
 def compressed_column(values: Sequence[Any], dtype: str) -> bytes:
     """All values of a variable that is no image, or of a coordinate, as its only chunk. dtype: a numpy name, or "str"."""
     if dtype == "str":
-        return compressed(bytes(VLenUTF8().encode(np.array(values, dtype=object).ravel())))
+        return compressed(bytes(_codecs()[1].encode(np.array(values, dtype=object).ravel())))
     return compressed(np.ascontiguousarray(values, dtype))
 
 
@@ -64,10 +70,10 @@ def read_whole(folder: Path, shape: tuple[int, ...], dtype: str) -> NDArray[Any]
     claimed = int.from_bytes(packed[4:8], "little")  # of blosc's head; memory is asked for by it
     if claimed > (_LONGEST_TEXT if dtype == "str" else np.dtype(dtype).itemsize * math.prod(shape)):
         raise ValueError(f"it claims {claimed} bytes")
-    data = _blosc.decode(packed)
+    data = _codecs()[0].decode(packed)
     if dtype == "str" and int.from_bytes(data[:4], "little") != math.prod(shape):
         raise ValueError("another number of texts")
-    values: NDArray[Any] = VLenUTF8().decode(data) if dtype == "str" else np.frombuffer(data, dtype)
+    values: NDArray[Any] = _codecs()[1].decode(data) if dtype == "str" else np.frombuffer(data, dtype)
     return values.reshape(shape)
 
 
@@ -87,7 +93,7 @@ def read_frames(folder: Path, frames: NDArray[np.int64], shape: tuple[int, ...],
                 if offset == _ABSENT:
                     raise ValueError(f"frame {frames[position]} is not there")
                 file.seek(offset)
-                _blosc.decode(checked(file.read(length)), result[position])
+                _codecs()[0].decode(checked(file.read(length)), result[position])
     return result
 
 

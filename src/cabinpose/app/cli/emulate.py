@@ -103,14 +103,23 @@ def _command(name: str) -> type:
     """The command of a device, with the fields of its emulator's settings as flags."""
     if name not in _COMMANDS:
         raise unknown_name("device", name, list(_COMMANDS))
-    from cabinpose.record.emulate import MtEmulatorSettings, MvnEmulatorSettings, StepperEmulatorSettings, ViconEmulatorSettings
-
-    defaults: Mapping[str, BaseModel] = {
-        "mvn": MvnEmulatorSettings(), "vicon": ViconEmulatorSettings(port=_VICON_PORT),
-        "mt": MtEmulatorSettings(), "stepper": StepperEmulatorSettings(),
-    }  # fmt: skip
-    command, default = _COMMANDS[name], defaults[name]
+    command, default = _COMMANDS[name], _default(name)
     return with_settings(command, name, type(default), default, device=name, __doc__=command.__doc__)
+
+
+def _default(name: str) -> BaseModel:
+    """The settings of a device's emulator; only its own modules are imported."""
+    from cabinpose.record import emulate
+
+    match name:
+        case "mvn":
+            return emulate.MvnEmulatorSettings()
+        case "vicon":
+            return emulate.ViconEmulatorSettings(port=_VICON_PORT)
+        case "mt":
+            return emulate.MtEmulatorSettings()
+        case _:
+            return emulate.StepperEmulatorSettings()
 
 
 COMMAND = Choices("device", _listed, _command)

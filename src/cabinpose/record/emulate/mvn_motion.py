@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError, unknown_name
 from cabinpose.signals import F64, Message, SegmentPoses
@@ -78,8 +78,8 @@ class SuitMotion:
         return (np.roll(values, -1, axis=0) - np.roll(values, 1, axis=0)) * self.rate_hz / 2
 
 
-def _rotations(orientation_wxyz: F64) -> Rotation:
-    return Rotation.from_quat(orientation_wxyz.reshape(-1, 4), scalar_first=True)
+def _rotations(orientation_wxyz: F64) -> scipy.spatial.transform.Rotation:
+    return scipy.spatial.transform.Rotation.from_quat(orientation_wxyz.reshape(-1, 4), scalar_first=True)
 
 
 def recorded(rows: Iterable[tuple[int, int | None, Message]]) -> SuitMotion:
@@ -151,11 +151,11 @@ def offset_m(segment: str) -> tuple[float, float, float]:
 def _forward(turns: dict[str, F64], root: F64, rate_hz: float) -> SuitMotion:
     """Poses from each segment's turn in its parent, as rotation vectors (F, 3): forward kinematics."""
     at: dict[str, F64] = {"Pelvis": root}
-    turned = {"Pelvis": Rotation.from_rotvec(turns["Pelvis"])}
+    turned = {"Pelvis": scipy.spatial.transform.Rotation.from_rotvec(turns["Pelvis"])}
     for name in MVN_SEGMENTS[1:]:
         parent = _PARENT[name]
         at[name] = at[parent] + turned[parent].apply(offset_m(name))
-        turned[name] = turned[parent] * Rotation.from_rotvec(turns[name])
+        turned[name] = turned[parent] * scipy.spatial.transform.Rotation.from_rotvec(turns[name])
     position = np.stack([at[name] for name in MVN_SEGMENTS], axis=1)
     orientation = np.stack([turned[name].as_quat(scalar_first=True) for name in MVN_SEGMENTS], axis=1)
     return SuitMotion(rate_hz, position, orientation)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cabinpose.core import MocapError
 from cabinpose.signals import F64, Facts, Markers
@@ -96,7 +96,7 @@ def _person(
     for i, ((_, _, offset), parent) in enumerate(zip(chain, parents, strict=True)):
         axis = rng.normal(size=3)
         swing = rng.uniform(0.1, 0.4) * np.sin(rng.integers(1, 4) * phase + rng.uniform(0, 2 * np.pi))  # (F,) rad
-        local = Rotation.from_rotvec(swing[:, None] * axis / np.linalg.norm(axis)).as_matrix()
+        local = scipy.spatial.transform.Rotation.from_rotvec(swing[:, None] * axis / np.linalg.norm(axis)).as_matrix()
         if parent < 0:
             rotation[:, i] = local
             position[:, i] = np.add(offset, (0.0, 1.0 * place, 0.0)) + 0.1 * np.sin(phase)[:, None] * (1.0, 0.0, 0.2)
@@ -143,7 +143,7 @@ def _of_markers(name: str, messages: list[Markers]) -> SubjectMotion:
         if both.sum() < 3:
             continue
         was, now = marker_m[first][both], points[both]
-        turn, _ = Rotation.align_vectors(now - now.mean(axis=0), was - was.mean(axis=0))
+        turn, _ = scipy.spatial.transform.Rotation.align_vectors(now - now.mean(axis=0), was - was.mean(axis=0))
         rotation[k, 0] = turn.as_matrix()
         position[k, 0] = now.mean(axis=0) + turn.apply(origin - was.mean(axis=0))
     return SubjectMotion(name, ("Root",), (-1,), position, rotation, messages[0].names, marker_m, (0,) * len(messages[0].names))

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cabinpose.core import ConfigError, MocapError
 from cabinpose.signals import Facts, SegmentPoses
@@ -81,7 +81,7 @@ class Bvh:
             if turns:
                 order = "".join(axis for axis, _ in turns)  # upper case: intrinsic
                 angles = values[:, [k for _, k in turns]]
-                local = Rotation.from_euler(order, angles, degrees=True).as_matrix()
+                local = scipy.spatial.transform.Rotation.from_euler(order, angles, degrees=True).as_matrix()
             for k, (axis, kind) in enumerate(kinds):
                 if kind == "position":
                     offset[:, "XYZ".index(axis)] = values[:, k]
@@ -166,7 +166,8 @@ def read_bvh_rows(
         for joint, rest in zip(bvh.joints, rests, strict=True)
     ]
     yield start_ns, 0, Facts(f"subject {subject}", {"segments": segments, "frame_rate_hz": 1 / bvh.frame_s})
-    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
+    turned = scipy.spatial.transform.Rotation.from_matrix(rotations.reshape(-1, 3, 3))
+    quaternions = turned.as_quat(scalar_first=True, canonical=True)
     poses = zip(positions, quaternions.reshape(len(positions), -1, 4), strict=True)
     for i, (position, orientation) in enumerate(poses):
         time_ns = round(i * bvh.frame_s * 1e9)

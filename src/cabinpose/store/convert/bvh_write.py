@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
 from cabinpose.signals import F64, Facts, Sample, SegmentPoses, resample_positions, resample_rotations
@@ -187,7 +187,7 @@ def _regular(times_ns: Sequence[int], positions: F64, orientations: F64) -> tupl
             even = even[even <= seconds[-1]]
             positions = resample_positions(seconds, positions, even, max_gap_s=math.inf)
             orientations = resample_rotations(seconds, orientations, even, max_gap_s=math.inf)
-    rotations = Rotation.from_quat(orientations.reshape(-1, 4), scalar_first=True).as_matrix()
+    rotations = scipy.spatial.transform.Rotation.from_quat(orientations.reshape(-1, 4), scalar_first=True).as_matrix()
     return positions, rotations.reshape(*orientations.shape[:2], 3, 3), frame_s
 
 
@@ -214,7 +214,7 @@ def _write(file: IO[str], skeleton: _Skeleton, positions: F64, rotations: F64, f
             continue
         if moves:
             columns.append(local)
-        columns.append(Rotation.from_matrix(turn).as_euler(_EULER, degrees=True, suppress_warnings=True))
+        columns.append(scipy.spatial.transform.Rotation.from_matrix(turn).as_euler(_EULER, degrees=True, suppress_warnings=True))
     file.write("HIERARCHY\n")
     _joint(file, skeleton, 0, offsets, moving, ends, "")
     motion = np.concatenate(columns, axis=1)

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, MocapError
 from cabinpose.signals import F64, Markers, SegmentPoses
@@ -85,7 +85,7 @@ def _segments(messages: Sequence[SegmentPoses]) -> tuple[dict[str, F64], dict[st
     position, wxyz = np.stack([m.position_m for m in messages]), np.stack([m.orientation_wxyz for m in messages])
     known = np.linalg.norm(wxyz, axis=2) > 0  # False for NaN
     rotation = np.full((*known.shape, 3, 3), np.nan)
-    rotation[known] = Rotation.from_quat(wxyz[known], scalar_first=True).as_matrix()
+    rotation[known] = scipy.spatial.transform.Rotation.from_quat(wxyz[known], scalar_first=True).as_matrix()
     of = {name: i for i, name in enumerate(names) if name in MVN_SEGMENTS}
     return {n: position[:, i] for n, i in of.items()}, {n: rotation[:, i] for n, i in of.items()}
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from cabinpose.core import ITOP, Camera
 
@@ -59,7 +59,7 @@ def corrected(depth: NDArray[np.floating], joints_3d: NDArray[np.floating], came
     known = np.isfinite(uv).all(axis=1) & camera.contains(uv) & (uv[:, 1] < floor - 0.5)
     column, row = np.where(known[:, None], np.round(uv), 0).astype(int).T
     outside = known & ~mask[row, column]
-    rows, columns = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    rows, columns = scipy.ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
     there = np.stack((columns[row, column], rows[row, column]), axis=-1).astype(np.float64)
     on_mask = np.concatenate(
         (camera.undistort((there - (camera.cx, camera.cy)) / (camera.fx, camera.fy)), np.ones((15, 1))), axis=1
@@ -80,14 +80,14 @@ def person_mask(depth: NDArray[Any], seed: NDArray[np.floating], head: NDArray[n
     top = _nearest(mask, head, near)
     if top is None:
         return None
-    pieces, _ = ndimage.label(mask, np.ones((3, 3)))
+    pieces, _ = scipy.ndimage.label(mask, np.ones((3, 3)))
     return np.asarray(pieces == pieces[top])
 
 
 def grown(depth: NDArray[np.floating], start: tuple[int, int]) -> NDArray[np.bool_]:
     """(H, W) the region that grows from a pixel (row, column) over neighbours whose depth is within `REACH_M` of that pixel's."""
     z = np.nan_to_num(depth).astype(np.float64)
-    regions, _ = ndimage.label((z > 0) & (np.abs(z - z[start]) < REACH_M))
+    regions, _ = scipy.ndimage.label((z > 0) & (np.abs(z - z[start]) < REACH_M))
     return np.asarray(regions == regions[start])
 
 

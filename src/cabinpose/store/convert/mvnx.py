@@ -16,8 +16,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 import numpy as np
-from scipy import constants
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
 from cabinpose.signals import F64, Channels, Facts, JointAngles, Message, SegmentKinematics, SegmentPoses, SensorReadings
@@ -40,7 +39,7 @@ _READ = frozenset(
     }
 )  # fmt: skip
 CENTRE = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")
-GRAVITY: F64 = np.array([0.0, 0.0, constants.g])  # what an accelerometer at rest shows in the world
+GRAVITY: F64 = np.array([0.0, 0.0, 9.80665])  # what an accelerometer at rest shows in the world
 _OURS = {name.replace("Forearm", "ForeArm"): name for name in MVN_SEGMENTS}
 
 
@@ -338,5 +337,6 @@ def turned(orientation_wxyz: F64, vectors: F64, *, inverse: bool = False) -> F64
     known = np.linalg.norm(orientation_wxyz, axis=1) > 0  # False for NaN
     result = np.full(vectors.shape, np.nan)
     if known.any():
-        result[known] = Rotation.from_quat(orientation_wxyz[known], scalar_first=True).apply(vectors[known], inverse=inverse)
+        turn = scipy.spatial.transform.Rotation.from_quat(orientation_wxyz[known], scalar_first=True)
+        result[known] = turn.apply(vectors[known], inverse=inverse)
     return result

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cabinpose.core import ZUP_FROM_YUP, MocapError
 from cabinpose.signals import F64, Facts, JointAngles, Markers, Sample, SegmentPoses
@@ -181,6 +181,7 @@ def _y_up(orientation_wxyz: F64) -> F64:
     with np.errstate(all="ignore"):
         valid = np.isfinite(orientation_wxyz).all(axis=2) & (np.linalg.norm(orientation_wxyz, axis=2) > 1e-9)
     if valid.any():
-        turned = Rotation.from_matrix(ZUP_FROM_YUP.T) * Rotation.from_quat(orientation_wxyz[valid], scalar_first=True)
-        result[valid] = turned.as_quat(scalar_first=True)
+        upright = scipy.spatial.transform.Rotation.from_matrix(ZUP_FROM_YUP.T)
+        turned = scipy.spatial.transform.Rotation.from_quat(orientation_wxyz[valid], scalar_first=True)
+        result[valid] = (upright * turned).as_quat(scalar_first=True)
     return result
