@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -58,7 +59,11 @@ def extension(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
         forget()
 
     def forget() -> None:
+        """Nothing that was loaded under a name outlives the package that offered it, nor hides one that is installed now."""
         invalidate_caches()
+        for one in gc.get_objects():
+            if type(one) is registry.Registry:
+                one._loaded.clear()
         registry._installed.cache_clear()
         registry._offers.cache_clear()
 

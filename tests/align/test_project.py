@@ -11,8 +11,8 @@ import pytest
 
 from cabinpose.align.calibration import Calibration, Head, Intrinsics, KnownDelay, rows
 from cabinpose.align.dataset import align_takes
-from cabinpose.align.project import REASONS, align_take, with_known
-from cabinpose.align.time import TISSUE_S
+from cabinpose.align.project import REASONS, align_take
+from cabinpose.align.time import TISSUE_S, with_known
 from cabinpose.app.report.heads import write_head_page
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility

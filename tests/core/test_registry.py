@@ -88,6 +88,15 @@ def test_a_name_that_two_packages_use_is_of_neither(extension: Install) -> None:
         found["one"]
 
 
+def test_nothing_that_was_loaded_hides_what_is_installed_now(extension: Install) -> None:
+    extension("acme", {"tries": {"one": "One"}}, CODE)
+    found = of_classes()
+    assert found["one"].__module__ == "acme"
+    extension("other", {"tries": {"one": "One"}}, CODE)
+    with pytest.raises(ExtensionError, match="acme, other all have one of this name"):
+        found["one"]
+
+
 def test_a_name_of_ours_stays_ours(extension: Install) -> None:
     extension("acme", {"sources": {"replay": "One"}}, CODE)
     found: Registry[type[object]] = Registry("cabinpose.sources", "kind of source", object, subclass=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,22 +36,9 @@ SETTINGS = {"body": "full", "width": 64, "height": 48, "focal": 51.2, "slots": l
 
 
 @pytest.fixture(autouse=True)
-def mean_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def mean_method(extension: Callable[..., None]) -> None:
     """The module of docs/extending.md, in a package of its own."""
-    info = tmp_path / "installed" / "mean_pose-1.dist-info"
-    info.mkdir(parents=True)
-    (info.parent / "mean_pose.py").write_text(re.findall(r"```python\n(.*?)```", PAGE, re.S)[0])
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mean-pose\nVersion: 1\nRequires-Dist: cabinpose\n")
-    (info / "entry_points.txt").write_text("[cabinpose.methods]\nmean = mean_pose:MEAN\n")
-    monkeypatch.syspath_prepend(str(info.parent))
-    registry._installed.cache_clear()
-    registry._offers.cache_clear()
-    yield
-    monkeypatch.undo()
-    registry._installed.cache_clear()
-    registry._offers.cache_clear()
-    METHODS._loaded.pop("mean", None)
-    sys.modules.pop("mean_pose", None)
+    extension("mean_pose", {"methods": {"mean": "MEAN"}}, re.findall(r"```python\n(.*?)```", PAGE, re.S)[0])
 
 
 @pytest.fixture
@@ -113,14 +100,14 @@ def test_another_packages_method_is_listed_and_compared_where_it_is_named(capsys
 def test_a_method_has_the_name_that_it_is_registered_by(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type(METHODS["mean"]), "name", "average")
     METHODS._loaded.pop("mean")
-    with pytest.raises(ExtensionError, match="the method 'mean' of mean-pose calls itself 'average'"):
+    with pytest.raises(ExtensionError, match="the method 'mean' of mean_pose calls itself 'average'"):
         METHODS["mean"]
 
 
 def test_a_task_that_does_not_exist_is_told_with_its_package(tmp_path: Path) -> None:
-    module = tmp_path / "installed" / "mean_pose.py"
+    module = tmp_path / "extensions" / "mean_pose.py"
     module.write_text(module.read_text().replace('task = "joints"', 'task = "joint"'))
-    with pytest.raises(ExtensionError, match="mean-pose cannot be loaded: TypeError: the task of MeanMethod is none of"):
+    with pytest.raises(ExtensionError, match="mean_pose cannot be loaded: TypeError: the task of MeanMethod is none of"):
         METHODS["mean"]
 
 
@@ -194,7 +181,7 @@ def test_a_network_is_no_array_model(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_model_of_an_extension_that_is_gone(trained_mean: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert METHODS.package("mean") == "mean-pose"
+    assert METHODS.package("mean") == "mean_pose"
     for cached in ("_installed", "_offers"):
         monkeypatch.setattr(registry, cached, getattr(registry, cached).__wrapped__)
     monkeypatch.setattr(sys, "path", sys.path[1:])

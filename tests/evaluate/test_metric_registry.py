@@ -34,9 +34,8 @@ Install = Callable[..., None]
 
 
 @pytest.fixture
-def install(extension: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> Install:
+def install(extension: Callable[..., None]) -> Install:
     """`install(hands="HANDS")`: a package "acme" with the module above, and entry points for what is in it."""
-    monkeypatch.setattr(METRICS, "_loaded", {})
     return lambda **names: extension("acme", {"metrics": names}, HANDS)
 
 
@@ -90,7 +89,6 @@ def test_one_that_fails_is_left_out_with_a_warning(
 
 def test_a_name_of_ours_stays_ours(install: Install, dataset: xr.Dataset, predictions: Predictions) -> None:
     plain = evaluate(dataset, predictions, OPTIONS)
-    METRICS._loaded.clear()
     install(pck="BROKEN")
     with pytest.warns(UserWarning, match="the metric 'pck' of acme is left out: cabinpose has one of this name"):
         report = evaluate(dataset, predictions, OPTIONS)

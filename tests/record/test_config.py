@@ -97,8 +97,7 @@ class Source:
 """
 
 
-def test_other_packages_add_kinds_and_replace_none(extension: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SOURCES, "_loaded", {})
+def test_other_packages_add_kinds_and_replace_none(extension: Callable[..., None]) -> None:
     extension("counting", {"sources": {"counted": "Source", "numbered": "Source"}}, OTHER)
     extension("broken", {"sources": {"lidar": "Source"}}, "import no_such_module")
     extension("no_source", {"sources": {"table": "Table"}}, "class Table: ...")

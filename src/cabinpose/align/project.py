@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.align.calibration import Calibration, KnownDelay
+from cabinpose.align.calibration import Calibration
 from cabinpose.align.chain import joints_in_camera, rigid
 from cabinpose.align.head import head_agreement
 from cabinpose.align.posture import shifted
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
-from cabinpose.align.time import TISSUE_S, refuse_vague, resolution_s, suit_to_optical, widened
+from cabinpose.align.time import suit_to_optical, trusted
 from cabinpose.align.tracker import as_optical
 from cabinpose.core import CABINPOSE, AlignmentError, UndeterminedError
 from cabinpose.signals import Delay, DelaySearch, WindowDelays, resample_positions, resample_rotations
@@ -104,8 +104,7 @@ def align_take(
         try:
             search = DelaySearch(max_lag_s=max_lag_s, drift=long)
             delay = suit_to_optical(since, suit_orientation, at, object_orientation, search)
-            delay = with_known(widened(delay, resolution_s(suit.device_ns, optical.device_ns)), head.suit_to_optical)
-            refuse_vague(delay)
+            delay = trusted(delay, suit.device_ns, optical.device_ns, known=head.suit_to_optical)
         except UndeterminedError:  # a few seconds, or a head that hardly turns: the head take may know
             if head.suit_to_optical is None or head.suit_to_optical.interval_s is None:
                 raise
@@ -131,25 +130,6 @@ def align_take(
         counted = ", ".join(f"{count} {why}" for why, count in aligned.left_out.items())
         raise AlignmentError(f"{recording.path}: no frame is left: {counted}", hint="look at the take with `cabinpose view`")
     return aligned
-
-
-def with_known(measured: Delay, known: KnownDelay | None) -> Delay:
-    """A take's delay, made sharper by that of the head take where the two agree.
-
-    What is measured on the host's axis is the difference of two latencies' floors, which stays as long as the rig does; a head
-    take has more motion than a drive. The mean is weighted by the squares of the intervals' inverse widths. A delay with a drift
-    of its own, or one that contradicts the known one (beyond the root of the sum of the squares of their half widths), stands
-    alone.
-    """
-    if known is None or known.interval_s is None or measured.drift != 0.0:
-        return measured
-    here, there = (0.5 * (high - low) for low, high in (measured.interval_s, known.interval_s))
-    if abs(measured.offset_s - known.offset_s) > np.hypot(here, there):
-        return measured
-    share = there**2 / max(here**2 + there**2, 1e-30)
-    offset = share * measured.offset_s + (1 - share) * known.offset_s
-    half = max(np.sqrt(share) * here, min(TISSUE_S, here, there))  # what both takes have in common is not halved
-    return replace(measured, offset_s=float(offset), interval_s=(float(offset - half), float(offset + half)))
 
 
 def _as_known(offset_s: float, interval_s: tuple[float, float], reference_s: float) -> Delay:

@@ -33,7 +33,7 @@ from cabinpose.align.pendulum import brightest_blob
 from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
-from cabinpose.align.time import refuse_vague, resolution_s, suit_to_optical, tof_to_optical, widened
+from cabinpose.align.time import suit_to_optical, tof_to_optical, trusted
 from cabinpose.align.tracker import place_tracker
 from cabinpose.core import CABINPOSE, JOINTS, AlignmentError, Camera, Matrix, apply, transform
 from cabinpose.signals import Delay, DelaySearch, resample_positions, resample_rotations
@@ -242,8 +242,7 @@ def _head(recording: Recording, names: Names, code: str, subject: SubjectSession
     since = seconds(on_host(suit), origin)
     _, suit_head = suit.segment(rig["head"])
     delay = suit_to_optical(since, suit_head, at, orientation, DelaySearch(max_lag_s=_GREATEST_LAG_S))
-    delay = widened(delay, resolution_s(suit.device_ns, optical.device_ns))
-    refuse_vague(delay)
+    delay = trusted(delay, suit.device_ns, optical.device_ns)
     moments = delay.to_a(at)
     turned = resample_rotations(since, suit_head, moments, max_gap_s=_GAP_S)
     period = float(np.median(np.diff(at)))

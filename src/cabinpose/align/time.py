@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cabinpose.align.calibration import KnownDelay
 from cabinpose.core import AlignmentError, Camera, Matrix, UndeterminedError, apply, unknown_name
 from cabinpose.signals import Delay, DelaySearch, angular_velocity, estimate_delay, kabsch, resample_positions, rotation_angle
 
@@ -94,6 +95,16 @@ def tof_to_optical(
     return estimate_delay(time_tof_s, seen, time_optical_s, expected, search)
 
 
+def trusted(delay: Delay, *stamps_ns: NDArray[np.int64], known: KnownDelay | None = None) -> Delay:
+    """A suit's delay of a take with all of its uncertainty, made sharper by what the head take knows of it.
+
+    stamps_ns: those of suit and optical system, each (T,). Raises UndeterminedError where it is too vague for use.
+    """
+    delay = with_known(widened(delay, resolution_s(*stamps_ns)), known)
+    refuse_vague(delay)
+    return delay
+
+
 def resolution_s(*stamps_ns: NDArray[np.int64]) -> float:
     """The resolutions of clocks, from their stamps (T,), added as independent errors are, s.
 
@@ -113,6 +124,25 @@ def widened(delay: Delay, resolution: float = 0.0) -> Delay:
     half = 0.5 * (delay.interval_s[1] - delay.interval_s[0])
     half = float(np.sqrt(half**2 + (0.95 * 0.5 * resolution) ** 2 + TISSUE_S**2))
     return replace(delay, interval_s=(delay.offset_s - half, delay.offset_s + half))
+
+
+def with_known(measured: Delay, known: KnownDelay | None) -> Delay:
+    """A take's delay, made sharper by that of the head take where the two agree.
+
+    What is measured on the host's axis is the difference of two latencies' floors, which stays as long as the rig does; a head
+    take has more motion than a drive. The mean is weighted by the squares of the intervals' inverse widths. A delay with a drift
+    of its own, or one that contradicts the known one (beyond the root of the sum of the squares of their half widths), stands
+    alone.
+    """
+    if known is None or known.interval_s is None or measured.drift != 0.0:
+        return measured
+    here, there = (0.5 * (high - low) for low, high in (measured.interval_s, known.interval_s))
+    if abs(measured.offset_s - known.offset_s) > np.hypot(here, there):
+        return measured
+    share = there**2 / max(here**2 + there**2, 1e-30)
+    offset = share * measured.offset_s + (1 - share) * known.offset_s
+    half = max(np.sqrt(share) * here, min(TISSUE_S, here, there))  # what both takes have in common is not halved
+    return replace(measured, offset_s=float(offset), interval_s=(float(offset - half), float(offset + half)))
 
 
 def refuse_vague(delay: Delay) -> None:
