@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -97,6 +98,7 @@ class Made:
     host: dict[str, str] = field(default_factory=dict)
     car: str = "sedan"
     seat: str | None = "driver"
+    drive_side: Literal["left", "right"] | None = None
     sources: tuple[str, ...] = ("tof", "optical", "suit")
     depth_m: float = 0.0
     seed: int = 5
@@ -120,7 +122,7 @@ class Made:
         samples.sort(key=lambda row: row[1].host_ns)
         seats = (self.seat, "front_passenger" if self.seat else None)
         people = tuple(Participant(code=code, seat=seat) for code, seat in zip(self.codes, seats, strict=False))
-        take = Take(action="reach", car=self.car, subjects=people)
+        take = Take(action="reach", car=self.car, drive_side=self.drive_side, subjects=people)
         with RecordingWriter(path, take, host=self.host, chunking=Chunking(flush_s=np.inf, sync_s=0.0)) as writer:
             for source, sample in samples:
                 writer.write(source, sample)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from cabinpose.align.dataset import align_takes
 from cabinpose.align.project import REASONS, align_take
 from cabinpose.align.time import TISSUE_S, with_known
 from cabinpose.app.report.heads import write_head_page
+from cabinpose.core import transform
 from cabinpose.core.errors import AlignmentError, RecordingError, UndeterminedError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE
@@ -227,7 +229,7 @@ def test_frames_in_which_one_of_two_people_has_no_pose_are_left_out(tmp_path: Pa
 def test_a_take_of_another_computer_or_network_is_told(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
     facts = {"computer": "c0ffee", "network eth0": "MTU 9000, 1000 Mb/s", "kernel": "Linux 6.1"}
-    Made(seconds=6, host=facts).write(path)
+    Made(seconds=6, drive_side="left", host=facts).write(path)
     assert align_takes([path], calibration(host=facts)).warnings == []
     assert align_takes([path], calibration()).warnings == []  # a calibration of before this was recorded
     then = facts | {"network eth0": "MTU 1500, 1000 Mb/s", "network wlan0": "MTU 1500"}
@@ -236,6 +238,32 @@ def test_a_take_of_another_computer_or_network_is_told(tmp_path: Path) -> None:
     assert "network eth0: MTU 1500, 1000 Mb/s then, MTU 9000, 1000 Mb/s now" in warning
     assert "network wlan0: MTU 1500 then, none now" in warning
     assert "kernel" not in warning
+
+
+def test_the_side_of_the_wheel_is_what_a_take_says_or_where_its_people_sit(tmp_path: Path) -> None:
+    """The driver's pelvis decides, about a metre to the right of the car's middle or to its left."""
+
+    def sides(made: Made, to_left_m: float | None, **options: Any) -> tuple[str, list[str]]:
+        path = tmp_path / f"{made.seat} {made.drive_side}.mcap"
+        if not path.exists():
+            made.write(path)
+        car = {} if to_left_m is None else {"vehicle_from_world": rows(transform(None, (0, to_left_m, 0)))}
+        takes = align_takes([path], calibration(**car), **options)
+        return next(takes.source.frames()).get("drive_side", "not there"), takes.warnings
+
+    driver = Made(seconds=6)
+    assert sides(driver, -1.0) == ("right", [])
+    assert sides(driver, 1.0) == ("left", [])
+    assert sides(replace(driver, seat="front_passenger"), -1.0) == ("left", [])
+    assert sides(replace(driver, drive_side="right"), None) == ("right", [])
+    assert sides(driver, None, drive_side="right") == ("right", [])
+    said, (warning,) = sides(replace(driver, drive_side="left"), -1.0)
+    assert said == "left"
+    assert "said to have its wheel on the left, but as people sit in front it is on the right" in warning
+    said, (warning,) = sides(driver, None)
+    assert said == "not there"
+    assert "--drive-side left or right, or `drive_side` in the rig's take" in warning
+    assert sides(replace(driver, car="", seat=None), None) == ("not there", [])
 
 
 def test_a_seat_that_is_not_named_and_another_cameras_size_are_refused(tmp_path: Path, take) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from cabinpose.app.cli import live as live_command
 from cabinpose.app.cli.live import _people
@@ -25,7 +26,7 @@ from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Counts, Sample, ToFFrame
 from cabinpose.store import open_dataset
 from cabinpose.store.predictions import empty_batch, read_predictions
-from cabinpose.store.recording import Recording, RecordingWriter, tof_frames
+from cabinpose.store.recording import Recording, RecordingWriter, Take, tof_frames
 
 Run = Callable[..., Any]  # of a command, see the `run` fixture
 FRAMES = 6
@@ -125,6 +126,23 @@ def test_recorded_frame_has_the_numbers_of_the_dataset(dataset_folder: Path, rec
         np.testing.assert_array_equal(batch["depth"][0], dataset["depth"][row].values)
         np.testing.assert_array_equal(batch["amplitude"][0], dataset["amplitude"][row].values)
         np.testing.assert_array_equal(batch["camera_k"][0], dataset["camera_k"].values[row])
+
+
+def test_the_side_of_the_wheel_goes_with_each_frame(recording: Path, tmp_path: Path) -> None:
+    """As the take of a recording or of a rig says it; `paf` and others tell seats by it."""
+    path = tmp_path / "right.mcap"
+    with Recording(recording) as once, RecordingWriter(path, Take(drive_side="right")) as writer:
+        for _, sample in once.samples():
+            writer.write("tof", sample)
+    rig = {"take": {"drive_side": "right"}, "sources": {"tof": {"kind": "replay", "path": str(path), "speed": 0}}}
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    for source, side in ((path, ["right"]), (tmp_path / "rig.yaml:tof", ["right"]), (recording, None)):
+        feed = open_feed(str(source))
+        feed.start()
+        frame = next(frame for frame in feed.frames() if frame is not None)
+        feed.stop()
+        told = frame.batch.get("drive_side")
+        assert (None if told is None else told.tolist()) == side
 
 
 def test_the_camera_of_a_recording_is_found_among_its_sources(run: Run, recording: Path, tmp_path: Path) -> None:

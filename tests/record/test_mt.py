@@ -7,6 +7,7 @@ import os
 import re
 import socket
 import struct
+import time
 import tty
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -162,6 +163,26 @@ def test_trackers_give_what_their_segments_do(devices: tuple[str, ...]) -> None:
     assert facts["head"]["device_id"] == ONE
     assert facts["head"]["outputs_hz"]["0x2010"] == 100  # type: ignore[index]
     assert source.counts.lost == 0
+
+
+class Late(MtEmulator):
+    """Answers only when everything is asked for a second time."""
+
+    def _answer(self, question: mt.XbusMessage) -> mt.XbusMessage:
+        time.sleep(0.35)
+        return super()._answer(question)
+
+
+def test_late_answers_and_a_late_reader_lose_nothing() -> None:
+    with Late(MtEmulatorSettings(devices=TWO), generated("seated")) as emulator:
+        source = source_of(emulator.port, TWO)
+        source.open()
+        time.sleep(0.5)  # a busy computer
+        samples = until(source, lambda _: source.counts.received >= 150)
+        source.close()
+    numbers = [s.sequence for s in samples if s.sequence is not None]
+    assert numbers == list(range(len(numbers)))
+    assert (source.counts.lost, emulator.lost) == (0, 0)
 
 
 def test_one_of_two_can_be_wanted() -> None:

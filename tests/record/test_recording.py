@@ -276,10 +276,13 @@ def test_a_name_is_no_code(code: str) -> None:
 
 def test_a_take_survives_as_text() -> None:
     take = Take(
-        action="drive, not".replace(",", ""), car="suv/2",
+        action="drive, not".replace(",", ""), car="suv/2", drive_side="right",
         subjects=(Participant(code="S1", seat="driver"), Participant(code="S2", consent="C 3")),
     )  # fmt: skip
     assert Take.from_metadata(take.as_metadata()) == take
+    older = take.model_copy(update={"drive_side": None})
+    assert Take.from_metadata(older.as_metadata()) == older
+    assert "drive_side" not in older.as_metadata()
     with pytest.raises(ValueError, match="twice"):
         Take(subjects=(Participant(code="S1"), Participant(code="S1")))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from cabinpose import __version__
 from cabinpose.align.calibration import Calibration
 from cabinpose.align.project import Aligned, align_take
 from cabinpose.align.visibility import visibility
-from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, invert
+from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
 from cabinpose.store import DEPTH_SCALE_M, UNKNOWN, Manifest, Source, blank_frame
 from cabinpose.store.convert import put_camera, put_person
@@ -23,6 +23,7 @@ from cabinpose.store.recording import Recording, Take, tof_frames
 
 POV = "tof"
 _ALL = np.arange(len(JOINTS))
+_FRONT = ("driver", "front_passenger")
 FLOATING_M = 0.02  # a joint farther before the surface is not inside the body that it belongs to
 
 
@@ -96,8 +97,19 @@ class _AlignedTake:
 
     path: Path
     take: Take
+    drive_side: str
     people: list[tuple[Aligned, TakeReport]]
     kept: NDArray[np.bool_]
+
+    @property
+    def unknown_side(self) -> str:
+        """What to say of a take in a car of which nobody knows where its wheel is."""
+        if self.drive_side or not {report.person for _, report in self.people} & set(OCCUPANT_SLOTS):
+            return ""
+        return (
+            f"{self.path.name}: on which side the wheel is is not known, and models that tell seats by place (paf, dpm, walks)"
+            " take it for the side that they learnt: say it with --drive-side left or right, or `drive_side` in the rig's take"
+        )
 
 
 def align_takes(
@@ -105,6 +117,7 @@ def align_takes(
     calibration: Calibration,
     *,
     subject: str | None = None,
+    drive_side: DriveSide | None = None,
     max_lag_s: float = 2.0,
     correct_pose: bool = True,
     licence: str = "private",
@@ -122,6 +135,9 @@ def align_takes(
         Of their rig.
     subject
         The only person whose suit is used; None: everybody whom a take names.
+    drive_side
+        Where the wheel is in all takes; None: as each take says, else as driver or front passenger sit in a car whose place is
+        calibrated.
     max_lag_s, correct_pose
         As in `align_take`.
     licence
@@ -141,6 +157,9 @@ def align_takes(
             people = [align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=correct_pose) for code in codes]
             warnings += [f"{path.name}: {what}" for what in calibration.differences(recording.head.host)]
             takes.append(_joined(path, sequence, recording.take, people, calibration, correct_pose))
+            if drive_side is not None:
+                takes[-1] = replace(takes[-1], drive_side=drive_side)
+            warnings += filter(None, (_other_side(takes[-1], calibration), takes[-1].unknown_side))
     reports = [report for each in takes for _, report in each.people]
     places = tuple(dict.fromkeys(report.person for report in reports))
     persons = OCCUPANT_SLOTS if set(places) <= set(OCCUPANT_SLOTS) else places
@@ -148,7 +167,10 @@ def align_takes(
     manifest = Manifest(
         generator="cabinpose.align", generator_version=__version__, seed=0, licence=licence, width=lens.width, height=lens.height,
         frames=sum(int(each.kept.sum()) for each in takes), persons=persons,
-        variables=(*_images(paths[0], calibration), "head_residual"),
+        variables=(
+            *_images(paths[0], calibration), "head_residual",
+            *(("drive_side",) if any(each.drive_side for each in takes) else ()),
+        ),
         config={
             "calibration": calibration.model_dump(mode="json"),
             "takes": [
@@ -196,15 +218,41 @@ def _joined(
             head_deg=(float(np.sqrt(np.mean(apart**2))), float(apart.max())),
             pose_corrected=correct_pose and calibration.head(each.subject).pose_correction is not None,
         ))  # fmt: skip
-    return _AlignedTake(path, take, list(zip(people, reports, strict=True)), kept)
+    drive_side = take.drive_side or _seen_side(people, places, calibration)
+    return _AlignedTake(path, take, drive_side, list(zip(people, reports, strict=True)), kept)
+
+
+def _seen_side(people: Sequence[Aligned], places: Sequence[str], calibration: Calibration) -> str:
+    """The side of the wheel by where driver or front passenger sit in the car; "" where neither or no car is known."""
+    vehicle_from_camera = _vehicle_from_camera(calibration)
+    for each, place in zip(people, places, strict=True):
+        if place in _FRONT and np.isfinite(vehicle_from_camera).all():
+            pelvis = each.joints[each.kept][:, [JOINTS.index("lpelvis"), JOINTS.index("rpelvis")]].mean(axis=1)
+            on_left = float(np.median(apply(vehicle_from_camera, pelvis)[:, 1])) > 0
+            return "left" if on_left == (place == "driver") else "right"
+    return ""
+
+
+def _other_side(aligned: _AlignedTake, calibration: Calibration) -> str:
+    """What to say of a take whose people sit otherwise than the side of its wheel has it."""
+    seen = _seen_side([each for each, _ in aligned.people], [report.person for _, report in aligned.people], calibration)
+    if seen in ("", aligned.drive_side):
+        return ""
+    name, said = aligned.path.name, aligned.drive_side
+    return f"{name}: said to have its wheel on the {said}, but as people sit in front it is on the {seen}"
+
+
+def _vehicle_from_camera(calibration: Calibration) -> NDArray[np.float64]:
+    """(4, 4), NaN where the car's place is not known."""
+    if calibration.vehicle_from_world is None:
+        return np.full((4, 4), np.nan)
+    return np.array(calibration.vehicle_from_world) @ invert(calibration.extrinsics.matrix)
 
 
 def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manifest) -> Iterator[dict[str, Any]]:
     """The frames of one take that are kept."""
     camera = calibration.intrinsics.camera
-    vehicle_from_camera = np.full((4, 4), np.nan)
-    if calibration.vehicle_from_world is not None:
-        vehicle_from_camera = np.array(calibration.vehicle_from_world) @ invert(calibration.extrinsics.matrix)
+    vehicle_from_camera = _vehicle_from_camera(calibration)
     with Recording(aligned.path) as recording:
         for index, (_, image) in enumerate(tof_frames(recording, calibration.names.tof)):
             if not aligned.kept[index]:
@@ -219,6 +267,8 @@ def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manife
             put_camera(frame, camera)
             frame["vehicle_from_camera"] = vehicle_from_camera
             frame["car"], frame["pov"] = aligned.take.car or UNKNOWN, POV
+            if "drive_side" in manifest.variables:
+                frame["drive_side"] = aligned.drive_side
             for person, report in aligned.people:
                 place = manifest.persons.index(report.person)
                 joints = person.joints[index]

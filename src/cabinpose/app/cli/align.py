@@ -14,7 +14,7 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, DriveSide
 
 if TYPE_CHECKING:
     from cabinpose.align import TakeReport
@@ -39,6 +39,8 @@ class Align(PrintsJson):
     """HTML file to write: how well suit and optical system agree on the head over each take, with its best and worst frame."""
     subject: Maybe[str] = None
     """Subject code, if a take does not name it, or if only one of its people wears a suit."""
+    drive_side: Maybe[DriveSide] = None
+    """Side of the wheel in the takes; default: as they say, else by where driver or front passenger sit."""
     pose_correction: bool = True
     """Correct the errors of the suit's own calibration, where the rig's calibration knows them."""
     max_lag: float = 2.0
@@ -65,7 +67,7 @@ def run(command: Align) -> None:
         raise ConfigError(f"{command.report} exists", hint="--overwrite replaces it, or give another file with --report")
     calibration = Calibration.load(command.calibration)
     takes = align_takes(
-        command.recordings, calibration, subject=command.subject, max_lag_s=command.max_lag,
+        command.recordings, calibration, subject=command.subject, drive_side=command.drive_side, max_lag_s=command.max_lag,
         correct_pose=command.pose_correction, licence=command.licence,
     )  # fmt: skip
     for warning in takes.warnings:

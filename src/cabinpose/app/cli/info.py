@@ -159,6 +159,7 @@ def _print_recording(path: Path, *, as_json: bool) -> None:
         return
     take, damage = found.take, found.damage
     who = (f"{s.code}{f' ({s.seat})' if s.seat else ''}{f', consent {s.consent}' if s.consent else ''}" for s in take.subjects)
+    wheel = take.drive_side and f"wheel on the {take.drive_side}"
     state = "whole" if damage.whole else "without its end: `cabinpose recover` gives it one"
     state = "; ".join([state, *([", ".join(damage.counted())] if damage.counted() else [])])
     print_rows(
@@ -166,7 +167,7 @@ def _print_recording(path: Path, *, as_json: bool) -> None:
             ("recording", str(path)),
             ("recorded", f"{when(found.started_ns)}, {found.seconds:.1f} s"),
             ("size", f"{found.bytes / 1e6:.1f} MB, {found.bytes / 1e6 / max(found.seconds, 1e-9):.1f} MB/s"),
-            ("take", ", ".join(filter(None, (take.action, take.car))) or "nothing is said of it"),
+            ("take", ", ".join(filter(None, (take.action, take.car, wheel))) or "nothing is said of it"),
             ("subjects", ", ".join(who) or "none named"),
             ("file", state),
         ]

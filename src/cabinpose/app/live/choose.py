@@ -14,6 +14,7 @@ from cabinpose.record import Rig, parse_rig
 from cabinpose.record.sources import SOURCES, cameras, is_camera, player_of
 from cabinpose.signals import HostClock
 from cabinpose.store import MANIFEST_NAME
+from cabinpose.store.recording import Recording
 
 _SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), a file of a camera (such as .mkv), or a kind of camera"
 
@@ -68,10 +69,11 @@ def open_feed(
     if path.suffix == ".mcap":
         played = {"path": str(path.absolute()), "source": name, "speed": 1.0 if realtime else 0.0} | given
         rig = _rig("replay", "replay", played)
-        if realtime:
-            return latest(rig)
         clock = HostClock()
-        return EveryFrame(rig.sources[0].build(clock), clock)
+        feed = latest(rig) if realtime else EveryFrame(rig.sources[0].build(clock), clock)
+        with Recording(path) as recording:
+            feed.drive_side = recording.take.drive_side or ""
+        return feed
     if path.suffix not in (".yaml", ".yml") and (kind := player_of(path.suffix)):
         return latest(_rig(kind, kind, {"path": str(path.absolute())} | given))
     return latest(_one_of(path, name, given), out)

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cabinpose.core import FrameBatch, RecordingError, SourceEndedError
 from cabinpose.evaluate import frame_batch
 from cabinpose.record import Lane, Recorder, Rig, start_recorder
@@ -49,6 +51,8 @@ class Feed(ABC):
     """Those that its frames may hold, of `cabinpose.core.IMAGES`: a ToF camera's."""
     wanted: tuple[str, ...] = ()
     """Those that detectors ask for."""
+    drive_side: str = ""
+    """Where the wheel is, "left" or "right"; "" where nobody says it, or each frame does."""
 
     @abstractmethod
     def start(self) -> None:
@@ -111,7 +115,7 @@ class EveryFrame(Feed):
             if not samples:
                 yield None
             for sample in samples:
-                if (frame := live_frame(sample)) is not None:
+                if (frame := live_frame(sample, self.drive_side)) is not None:
                     yield frame
 
     def status(self) -> FeedStatus:
@@ -135,6 +139,7 @@ class LatestFrame(Feed):
         self.name = plan.name
         self.clock, self._wake = HostClock(), threading.Event()
         self._source = _Tap(plan.build(self.clock))
+        self.drive_side = rig.take.drive_side or ""
         self._lane = Lane(self._source, plan.kind, self.clock, self._wake)
         self._recorder: Recorder | None = None
         self._rig, self._out = rig, out
@@ -154,7 +159,8 @@ class LatestFrame(Feed):
     def frames(self) -> Iterator[LiveFrame | None]:
         """The newest frame whenever one is asked for, each once."""
         while True:
-            frame = self._source.newest(_WAIT_S)
+            sample = self._source.newest(_WAIT_S)
+            frame = None if sample is None else live_frame(sample, self.drive_side)
             if self._recorder is None:
                 self._lane.take(1 << 62)  # nobody else empties its queue
             if frame is None and self._lane.ended:
@@ -223,13 +229,13 @@ class _Tap:
         """As the source's."""
         self._source.close()
 
-    def newest(self, timeout_s: float) -> LiveFrame | None:
-        """The newest frame that nobody has taken yet."""
+    def newest(self, timeout_s: float) -> Sample | None:
+        """What has the newest frame that nobody has taken yet."""
         with self._changed:
             if self._newest is None:
                 self._changed.wait(timeout_s)
             sample, self._newest = self._newest, None
-        return live_frame(sample) if sample is not None else None
+        return sample
 
 
 def tof_frame_of(sample: Sample) -> ToFFrame | None:
@@ -237,12 +243,15 @@ def tof_frame_of(sample: Sample) -> ToFFrame | None:
     return next((message for message in sample.messages if isinstance(message, ToFFrame)), None)
 
 
-def live_frame(sample: Sample) -> LiveFrame | None:
-    """The frame of a sample; None where it holds none."""
+def live_frame(sample: Sample, drive_side: str = "") -> LiveFrame | None:
+    """The frame of a sample, with the side of the wheel where that is known; None where it holds none."""
     image = tof_frame_of(sample)
     if image is None:
         return None
-    return LiveFrame(-1 if sample.sequence is None else sample.sequence, sample.host_ns, batch_of(image))
+    batch = batch_of(image)
+    if drive_side:
+        batch["drive_side"] = np.array([drive_side])
+    return LiveFrame(-1 if sample.sequence is None else sample.sequence, sample.host_ns, batch)
 
 
 def batch_of(image: ToFFrame) -> FrameBatch:

@@ -10,6 +10,7 @@ import os
 import select
 import struct
 import tty
+from contextlib import suppress
 from typing import Annotated, Self
 
 import numpy as np
@@ -27,6 +28,7 @@ from cabinpose.signals import HostClock
 Probability = Annotated[float, Field(ge=0, le=1)]
 _LOOK_S = 0.002
 _MASTER_ID = "00200001"
+_UNREAD = 1 << 16  # bytes that wait for a reader, as in a driver; what comes then is lost
 _READY = 3  # status: self-test passed, filter valid
 
 
@@ -78,7 +80,9 @@ class MtEmulator(Emulator):
     def open(self) -> None:
         """Take a pseudo-terminal."""
         self._device, self._client = os.openpty()
+        os.set_blocking(self._device, False)
         tty.setraw(self._client)
+        self._unread = bytearray()
         self.port = os.ttyname(self._client)
 
     def stop(self) -> None:
@@ -114,11 +118,15 @@ class MtEmulator(Emulator):
         while not self._stopping.is_set():
             if select.select([self._device], [], [], _LOOK_S)[0]:
                 for message in splitter.feed(os.read(self._device, 4096)):
-                    if message.kind in (mt.TO_MEASUREMENT, mt.TO_CONFIG):
-                        measures, began = message.kind == mt.TO_MEASUREMENT, self._clock.now_s()
+                    if message.kind == mt.TO_MEASUREMENT and not measures:  # asked again, it measures on
+                        measures, began = True, self._clock.now_s()
                         numbers = [0] * len(numbers)
+                    elif message.kind == mt.TO_CONFIG:
+                        measures = False
+                        self._unread.clear()
                     if not self.settings.mute:
                         self._write(mt.encode(self._answer(message)))
+            self._write(b"")
             if measures:
                 now_s = self._clock.now_s() - began
                 due = True
@@ -163,5 +171,9 @@ class MtEmulator(Emulator):
         return XbusMessage(question.bus, question.kind + 1, data)
 
     def _write(self, data: bytes) -> None:
-        if select.select([], [self._device], [], 0)[1]:  # nobody reads: lost, as on a wire
-            os.write(self._device, data)
+        """Send what waits and this, as far as the line takes it."""
+        if len(self._unread) + len(data) <= _UNREAD:
+            self._unread += data
+        with suppress(BlockingIOError):
+            while self._unread:
+                del self._unread[: os.write(self._device, self._unread)]

@@ -173,7 +173,7 @@ class MtSource(DeviceSource[MtSettings]):
         wanted = {device: name for name, device in self.settings.sensors.items()}
         if set(wanted) != {own}:
             with suppress(RecordingError):  # a tracker alone is master of nothing
-                ids = self._ask(XbusMessage(mt.MASTER, mt.INIT_BUS, b""), optional=True).data.hex().upper()
+                ids = self._ask(XbusMessage(mt.MASTER, mt.INIT_BUS, b"")).data.hex().upper()
                 there = {bus: ids[k : k + 8] for bus, k in enumerate(range(0, len(ids), 8), 1)} or there
         short = {device[-8:]: name for device, name in wanted.items()}  # a bus tells the lower half of a long id
         found = {bus: wanted.get(device) or short.get(device, "") for bus, device in there.items()}
@@ -201,9 +201,9 @@ class MtSource(DeviceSource[MtSettings]):
             )
         return Facts(name, {"device_id": self.settings.sensors[name], "bus_id": bus, "outputs_hz": outputs})
 
-    def _ask(self, question: XbusMessage, *, optional: bool = False) -> XbusMessage:
+    def _ask(self, question: XbusMessage) -> XbusMessage:
         """The answer, asked for again and again. Raises RecordingError where none comes, or an error does."""
-        until = self._clock.now_s() + (_ASK_AGAIN_S if optional else self.settings.answer_s)
+        until = self._clock.now_s() + self.settings.answer_s
         while self._clock.now_s() < until:
             self._line.send(mt.encode(question))
             again = min(self._clock.now_s() + _ASK_AGAIN_S, until)
@@ -214,7 +214,8 @@ class MtSource(DeviceSource[MtSettings]):
                             f"{self.settings.port}: a tracker refuses message 0x{question.kind:02X}: {_error(message)}",
                             hint="look at rate_hz, and at baud: a line has no room for every rate",
                         )
-                    if message.kind == question.kind + 1:
+                    # A second answer to an earlier question may come late.
+                    if message.kind == question.kind + 1 and question.bus in (mt.MASTER, message.bus):
                         return message
         what = "what comes is no Xbus message" if self._splitter.malformed else "no answer"
         raise RecordingError(

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
-from cabinpose.core import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS, DriveSide
 
 _CODE = re.compile(r"(?=.*\d)[A-Za-z0-9][A-Za-z0-9_.-]{0,31}")
 _WORDS = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. /-]{0,63}")
@@ -54,6 +54,7 @@ class Take(_Model):
 
     action: Words = Field("", description="What is done, as a short word: reach, drive.")
     car: Words = Field("", description="The car or mock-up.")
+    drive_side: DriveSide | None = Field(None, description="Side of the wheel in the car; left out where it is not known.")
     subjects: tuple[Participant, ...] = Field((), description="The people recorded.")
 
     @field_validator("subjects")
@@ -77,6 +78,7 @@ class Take(_Model):
             "consent": ",".join(subject.consent for subject in self.subjects),
             "action": self.action,
             "car": self.car,
+            **({} if self.drive_side is None else {"drive_side": self.drive_side}),
         }
 
     @classmethod
@@ -86,4 +88,5 @@ class Take(_Model):
         subjects: list[dict[str, Any]] = [
             {"code": code, "seat": seat or None, "consent": consent} for code, seat, consent in zip(*columns, strict=True) if code
         ]
-        return cls.model_validate({"action": values.get("action", ""), "car": values.get("car", ""), "subjects": subjects})
+        about = {key: values.get(key, "") for key in ("action", "car")}
+        return cls.model_validate({**about, "drive_side": values.get("drive_side"), "subjects": subjects})
