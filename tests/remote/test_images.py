@@ -143,6 +143,30 @@ def test_six_images_into_one_foreign_algorithm(way: str, algorithm: Start, run: 
         np.testing.assert_allclose(seen["cloud"][0], points, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
+def test_what_synth_makes_goes_to_a_foreign_algorithm(algorithm: Start, run: Run, tmp_path: Path) -> None:
+    """A dataset from the command line: colour, the camera's noise and styled depth beside depth, amplitude and labels."""
+    rng = np.random.default_rng(3)
+    depth_m = (1.5 + rng.normal(0.0, 0.01, (96, 128))).astype(np.float32)
+    np.savez(tmp_path / "style.npz", depth_m=depth_m, regions=np.zeros(depth_m.shape, np.uint8))
+    made = run(
+        "synth", "--frames", 4, "--out", tmp_path / "made", "--style", tmp_path / "style.npz", "--workers", 1,
+        "images={renderer: raster}", "output.noise=true", "style.steps=2",
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    server = Keeper(algorithm, [*SIX, "cloud", "camera_k"])
+    done = run("predict", tmp_path / "made", "--model", server.address, "--out", tmp_path / "a.jsonl")
+    assert done.code == 0, done.err
+    assert len(server.seen) == 4
+    for row, seen in enumerate(server.seen):
+        for name in SIX:
+            held = of_the_dataset(tmp_path / "made", name, row)
+            assert len(np.unique(held)) > 10
+            assert seen[name].tobytes() == held[None].tobytes(), name
+        assert seen["depth"].tobytes() != seen["depth_styled"].tobytes()
+        np.testing.assert_array_equal(seen["cloud"][0, ..., 2], seen["depth"][0])
+
+
 def test_every_image_has_a_tensor_of_the_datasets_type(folder: Path, algorithm: Start) -> None:
     server = Keeper(algorithm, list(IMAGES))
     dataset = open_dataset(folder)
