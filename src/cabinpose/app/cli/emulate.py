@@ -109,17 +109,21 @@ def _command(name: str) -> type:
 
 def _default(name: str) -> BaseModel:
     """The settings of a device's emulator; only its own modules are imported."""
-    from cabinpose.record import emulate
+    if name == "mvn":
+        from cabinpose.record.emulate import MvnEmulatorSettings
 
-    match name:
-        case "mvn":
-            return emulate.MvnEmulatorSettings()
-        case "vicon":
-            return emulate.ViconEmulatorSettings(port=_VICON_PORT)
-        case "mt":
-            return emulate.MtEmulatorSettings()
-        case _:
-            return emulate.StepperEmulatorSettings()
+        return MvnEmulatorSettings()
+    if name == "vicon":
+        from cabinpose.record.emulate import ViconEmulatorSettings
+
+        return ViconEmulatorSettings(port=_VICON_PORT)
+    if name == "mt":
+        from cabinpose.record.emulate import MtEmulatorSettings
+
+        return MtEmulatorSettings()
+    from cabinpose.record.emulate import StepperEmulatorSettings
+
+    return StepperEmulatorSettings()
 
 
 COMMAND = Choices("device", _listed, _command)

@@ -1,4 +1,4 @@
-"""A person as a few hundred points of the skin with normals, solid by solid: what clearance is solved with."""
+"""A person as about a thousand points of the skin with normals, solid by solid: what clearance is solved with."""
 
 from __future__ import annotations
 
