@@ -21,6 +21,7 @@ from .errors import ExtensionError as ExtensionError
 from .errors import MeshError as MeshError
 from .errors import MocapError as MocapError
 from .errors import ModelError as ModelError
+from .errors import OutputError as OutputError
 from .errors import PredictionsError as PredictionsError
 from .errors import RecordingError as RecordingError
 from .errors import RemoteError as RemoteError
@@ -80,5 +81,19 @@ from .skeleton import Skeleton as Skeleton
 from .skeleton import SkeletonName as SkeletonName
 from .skeleton import skeleton_of as skeleton_of
 from .skeleton import skeleton_with as skeleton_with
+from .whole import FULL_DISK as FULL_DISK
+from .whole import check_output as check_output
+from .whole import interrupts_held as interrupts_held
+from .whole import is_refused as is_refused
+from .whole import left_before as left_before
+from .whole import lock as lock
+from .whole import output_errors as output_errors
+from .whole import refuse_other_writer as refuse_other_writer
+from .whole import stage_of as stage_of
+from .whole import unwritable as unwritable
+from .whole import whole_file as whole_file
+from .whole import whole_folder as whole_folder
+from .whole import write_together as write_together
+from .whole import write_whole as write_whole
 from .yaml_text import parse_yaml as parse_yaml
 from .yaml_text import read_yaml as read_yaml

@@ -69,6 +69,10 @@ class UndeterminedError(AlignmentError):
     """Data that agree with each other say too little for a number of their own; another source of it may do."""
 
 
+class OutputError(CabinposeError):
+    """An output cannot be written, or another process is writing it."""
+
+
 class DependencyError(CabinposeError):
     """An optional dependency (an extra) is needed and not installed."""
 
