@@ -18,6 +18,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility, check_claim
+from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility, check_claim, interrupts_held
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptions
 from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import Origin, check_projection, given_camera, make_manifest, put_camera, put_person
@@ -119,7 +120,13 @@ class ItopFormat(DatasetFormat):
         segmentation_of = segmentation_table(dataset)
         subjects = sorted({str(s) for s in dataset["subject"].values.ravel() if s})
         h5py = hdf5()
-        with h5py.File(folder / "depth_map.h5", "w") as depth_file, h5py.File(folder / "labels.h5", "w") as label_file:
+        with (
+            interrupts_held() as due,  # one that goes through HDF5 as it writes ends the process
+            _Written(folder / "depth_map.h5") as depth_bytes,
+            _Written(folder / "labels.h5") as label_bytes,
+            h5py.File(depth_bytes, "w") as depth_file,
+            h5py.File(label_bytes, "w") as label_file,
+        ):
             # Equal datasets give equal bytes: no times in the files, and not LZF, whose output depends on stale memory.
             image = {"shape": (count, height, width), "chunks": (1, height, width), "track_times": False}
             image |= {"compression": "gzip", "compression_opts": 1, "shuffle": True}
@@ -152,6 +159,9 @@ class ItopFormat(DatasetFormat):
                     xyz[i] = np.nan_to_num(joints * (1, -1, 1))
                     mine = frame["instance"].values == person.position + 1
                     segmentation[i] = np.where(mine, segmentation_of[frame["labels"].values], -1)
+                depth_bytes.check()
+                label_bytes.check()
+                due()
                 report(i + 1)
             small = {
                 "id": ids, "is_valid": valid, "visible_joints": visible, "image_coordinates": uv, "real_world_coordinates": xyz,
@@ -321,6 +331,34 @@ def _stem(file: Path) -> str:
     raise DatasetError(
         f"{file} is no file of ITOP", hint="give a *_depth_map.h5 or *_labels.h5 (not the point clouds), their folder, or a .npz"
     )
+
+
+class _Written(FileIO):
+    """A file for HDF5 to write: what the disk refuses is kept until it is asked for, since HDF5 ends the process over it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "w+")
+        self._refused: OSError | None = None
+
+    def write(self, content: Any, /) -> int:
+        """Write all, or nothing more once the disk has refused."""
+        left = memoryview(content).cast("B")
+        try:
+            while left and self._refused is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self._refused = error
+        return memoryview(content).nbytes
+
+    def check(self) -> None:
+        """Raise what the disk has refused."""
+        if self._refused is not None:
+            raise self._refused
+
+    def close(self) -> None:
+        """Close the file; raise what the disk has refused."""
+        super().close()
+        self.check()
 
 
 @contextmanager
