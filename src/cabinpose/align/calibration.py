@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cabinpose.align.suit import HANDS_M, Triple
-from cabinpose.core import AlignmentError, Camera, Matrix, is_rigid
+from cabinpose.core import AlignmentError, Camera, Matrix, is_rigid, write_whole
 from cabinpose.store import read_mapping, validated
 
 Row = tuple[float, float, float, float]
@@ -186,9 +186,7 @@ class Calibration(_Model):
         text = yaml.safe_dump(
             self.model_dump(mode="json", exclude_none=True), sort_keys=False, default_flow_style=None, width=120
         )
-        temporary = path.with_name(f".{path.name}.tmp")
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        write_whole(path, text)
 
     @classmethod
     def load(cls, path: Path) -> Calibration:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from cabinpose.core import ModelError, read_arrays
+from cabinpose.core import ModelError, read_arrays, whole_file
 from cabinpose.estimate.methods import ArrayMethod
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, existing
 
@@ -56,6 +56,5 @@ def write_arrays(
 def rewrite(path: Path, metadata: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """As `write_arrays`, of a model's whole metadata."""
     text = np.frombuffer(json.dumps(metadata).encode(), np.uint8)
-    partial = path.with_name(f".{path.stem}.partial{SUFFIX}")
-    np.savez_compressed(partial, allow_pickle=False, **{METADATA_KEY: text}, **arrays)
-    partial.replace(path)
+    with whole_file(path, kind=ModelError) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **{METADATA_KEY: text}, **arrays)

@@ -14,6 +14,8 @@ from typing import Any
 import lightning
 from lightning.pytorch.callbacks import Callback
 
+from cabinpose.core import whole_file
+
 Row = dict[str, float]
 Draw = Callable[[Sequence[Row], int | None, str, bool], None]  # of all epochs, the best one, the deciding figure, the stop
 
@@ -64,12 +66,10 @@ class Curves(Callback):
 
     def _write(self) -> None:
         table = self._out / "log" / "metrics.csv"
-        table.parent.mkdir(exist_ok=True)
-        partial = table.with_name("metrics.tmp")
-        with partial.open("w", newline="", encoding="utf-8") as file:
+        table.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(table) as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(dict.fromkeys(name for row in self._rows for name in row)))
             writer.writeheader()
             writer.writerows(self._rows)
-        partial.replace(table)
         if self._draw is not None:
             self._draw(self._rows, self.best, self._monitor, self.stops)

@@ -13,7 +13,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from cabinpose.core import ModelError
+from cabinpose.core import ModelError, whole_file
 from cabinpose.estimate.array_model import ArrayModel, rewrite
 from cabinpose.estimate.half import halve
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, open_session
@@ -89,25 +89,23 @@ def write_onnx(
     answering = method.mirrored(detector.network) if mirrored else detector.network
     network = _Named(answering, method.outputs).eval()
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
-    partial = out.with_name(out.name + ".tmp")
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_graph(network, examples, method.outputs, partial)
-    model = onnx.load(str(partial))
-    _share(model.graph)
-    settings = config.model_dump(mode="json")
-    metadata = {"name": name, "method": method.name, "config": settings, "mirrored": mirrored, "card": dict(card)}
-    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
-    onnx.save(model, str(partial))
-    difference = _difference(network, partial, examples, method.outputs)
-    if not difference <= TOLERANCE:
-        partial.unlink()
-        raise ModelError(
-            f"the exported model differs from torch by {difference:.2g}", hint="try another version of torch or onnxruntime"
-        )
-    if half:
-        halve(model)
+    with whole_file(out, kind=ModelError) as partial:
+        write_graph(network, examples, method.outputs, partial)
+        model = onnx.load(str(partial))
+        _share(model.graph)
+        settings = config.model_dump(mode="json")
+        metadata = {"name": name, "method": method.name, "config": settings, "mirrored": mirrored, "card": dict(card)}
+        onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
         onnx.save(model, str(partial))
-    partial.replace(out)
+        difference = _difference(network, partial, examples, method.outputs)
+        if not difference <= TOLERANCE:
+            raise ModelError(
+                f"the exported model differs from torch by {difference:.2g}", hint="try another version of torch or onnxruntime"
+            )
+        if half:
+            halve(model)
+            onnx.save(model, str(partial))
     return difference
 
 
@@ -119,9 +117,8 @@ def write_copy(model: TrainedModel, out: Path, **more: Any) -> None:
         return
     copy = onnx.load(str(model.path))
     onnx.helper.set_model_props(copy, {METADATA_KEY: json.dumps(metadata)})
-    partial = out.with_name(out.name + ".tmp")
-    onnx.save(copy, str(partial))
-    partial.replace(out)
+    with whole_file(out, kind=ModelError) as partial:
+        onnx.save(copy, str(partial))
 
 
 def write_graph(network: nn.Module, examples: Mapping[str, Tensor], outputs: Sequence[str], path: Path) -> None:

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from importlib.util import find_spec
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from pickle import UnpicklingError
@@ -23,11 +24,12 @@ import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint, WeightAveraging
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.plugins import TorchCheckpointIO
 from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ConfigError, ModelError, check_archive
+from cabinpose.core import ConfigError, ModelError, check_archive, output_errors, write_whole
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import Mirror, mirrored_labels
 from cabinpose.estimate.batch import Batch, ray_tensor
@@ -250,14 +252,37 @@ def fit(
             callbacks=[*average, best, newest, curves, *reports, *observers.callbacks], logger=_loggers(out),
             num_sanity_val_steps=0, log_every_n_steps=10, enable_model_summary=False,
             enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
+            plugins=[_WholeCheckpoints()],
         )  # fmt: skip
         detector = Detector(config)
         if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
             detector.spare_batches = config.epochs * config.workers
         if start.init is not None and not last.exists():
             begin_with(detector, start.init, training)
-        trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
+        with output_errors(out), _interruptible():
+            trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"
+
+
+class _WholeCheckpoints(TorchCheckpointIO):
+    """Checkpoints that take their name when they are whole and on disk; Lightning copies them from the temporary folder."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, *_: Any, **__: Any) -> None:
+        """Write one. In memory first: torch hides a full disk from who asks."""
+        buffer = BytesIO()
+        torch.save(checkpoint, buffer)
+        write_whole(Path(path), buffer.getvalue(), kind=ModelError)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C within `fit` is a KeyboardInterrupt; Lightning ends the process with code 1."""
+    try:
+        yield
+    except SystemExit as left:
+        if isinstance(left.__context__, KeyboardInterrupt):
+            raise left.__context__ from None
+        raise
 
 
 def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: Path, progress: Progress | None) -> Path:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cabinpose.app.cli.arguments import DatasetArgument, SelectsFrames
 from cabinpose.app.cli.output import print_json, print_table, progress
 from cabinpose.app.extras import require
-from cabinpose.core import DatasetError, ModelError
+from cabinpose.core import DatasetError, ModelError, check_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,6 +53,7 @@ def run(command: CalibrateConfidence) -> None:
     from cabinpose.estimate import FEWEST, METADATA_KEY, fit_expected_error, load_model, write_copy
     from cabinpose.evaluate import EvaluationOptions
 
+    check_output(command.out, parents=False)
     options = EvaluationOptions(presence=command.presence)
     model = load_model(command.model)
     path = model.model.path

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cabinpose.core import Bools, Floats32
+from cabinpose.core import Bools, Floats32, whole_file
 from cabinpose.synth.style.encoder import Encoder, Loss, StyleLoss, encoder_of, shown, without_slow
 from cabinpose.synth.style.frame import StyleFrame
 from cabinpose.synth.style.settings import METADATA_KEY
@@ -176,15 +176,14 @@ def write_network(network: StyleNetwork, path: Path, card: Mapping[str, Any]) ->
     """Write a network as ONNX, for frames of any size that is a multiple of `MULTIPLE`; the card goes into its metadata."""
     examples = {name: torch.zeros(1, count, 64, 64) for name, count in (("depth", 1), ("valid", 1), ("guides", 4), ("noise", 1))}
     size = {2: "height", 3: "width"}
-    partial = path.with_name(path.name + ".tmp")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the exporter that traces is deprecated, and needs nothing beside onnx
-        torch.onnx.export(
-            network, tuple(examples.values()), str(partial), input_names=list(examples), output_names=["change", "logit"],
-            dynamo=False, opset_version=18, dynamic_axes=dict.fromkeys((*examples, "change", "logit"), size),
-        )  # fmt: skip
-    model = onnx.load(str(partial))
-    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(dict(card))})
-    onnx.save(model, str(partial))
-    partial.replace(path)
+    with whole_file(path) as partial:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the exporter that traces is deprecated, and needs nothing beside onnx
+            torch.onnx.export(
+                network, tuple(examples.values()), str(partial), input_names=list(examples), output_names=["change", "logit"],
+                dynamo=False, opset_version=18, dynamic_axes=dict.fromkeys((*examples, "change", "logit"), size),
+            )  # fmt: skip
+        model = onnx.load(str(partial))
+        onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(dict(card))})
+        onnx.save(model, str(partial))
