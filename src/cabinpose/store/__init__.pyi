@@ -13,6 +13,7 @@ from .frames import image_names as image_names
 from .frames import label_colours as label_colours
 from .frames import label_table as label_table
 from .frames import people as people
+from .frames import png as png
 from .frames import write_png as write_png
 from .itop import ItopReference as ItopReference
 from .itop import as_labelled as as_labelled
@@ -28,7 +29,6 @@ from .lazy import open_dataset as open_dataset
 from .lazy import points_m as points_m
 from .part import EncodedFrame as EncodedFrame
 from .part import PartWriter as PartWriter
-from .part import disk_errors as disk_errors
 from .part import encode_frame as encode_frame
 from .predictions import Predictions as Predictions
 from .predictions import check_new_predictions as check_new_predictions

@@ -7,7 +7,6 @@ a list of name and ids, the dataset's classes that belong to the part.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,7 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from cabinpose.core import DatasetError, FrameBatch, Part, PredictionsError
-from cabinpose.store.part import disk_errors
+from cabinpose.core import DatasetError, FrameBatch, Part, PredictionsError, whole_folder
 
 SUFFIX: Final = ".zarr"
 FORMAT: Final = "cabinpose-class-images"
@@ -71,28 +69,21 @@ def write_class_images(
     Raises `PredictionsError` as `check_new_class_images` does.
     """
     check_new_class_images(path, overwrite=overwrite)
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with disk_errors(path.parent):
-            group = zarr.open_group(temporary, mode="w", zarr_format=3)
-            described: list[Any] = [{"name": part.name, "ids": list(part.ids)} for part in parts]
-            group.attrs.update({"format": FORMAT, "version": VERSION, "model": model, "dataset": dataset, "parts": described})
-            group.create_array("frame", data=frame.astype(np.int64), dimension_names=("frame",))
-            labels, start = None, 0
-            for batch in batches:
-                if labels is None:
-                    size = batch.shape[1:]
-                    labels = group.create_array(
-                        "labels", shape=(len(frame), *size), chunks=(_CHUNK, *size), dtype="uint8",
-                        dimension_names=("frame", "y", "x"),
-                    )  # fmt: skip
-                labels[start : start + len(batch)] = batch
-                start += len(batch)
-            if path.exists():
-                shutil.rmtree(path)
-            temporary.replace(path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with whole_folder(path, kind=PredictionsError) as temporary:
+        group = zarr.open_group(temporary, mode="w", zarr_format=3)
+        described: list[Any] = [{"name": part.name, "ids": list(part.ids)} for part in parts]
+        group.attrs.update({"format": FORMAT, "version": VERSION, "model": model, "dataset": dataset, "parts": described})
+        group.create_array("frame", data=frame.astype(np.int64), dimension_names=("frame",))
+        labels, start = None, 0
+        for batch in batches:
+            if labels is None:
+                size = batch.shape[1:]
+                labels = group.create_array(
+                    "labels", shape=(len(frame), *size), chunks=(_CHUNK, *size), dtype="uint8",
+                    dimension_names=("frame", "y", "x"),
+                )  # fmt: skip
+            labels[start : start + len(batch)] = batch
+            start += len(batch)
 
 
 def read_class_images(path: Path) -> ClassImages:

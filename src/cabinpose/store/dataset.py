@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 from collections.abc import Mapping
@@ -12,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import DatasetError
-from cabinpose.store.part import disk_errors, temporary_parts
+from cabinpose.core import DatasetError, lock, output_errors, refuse_other_writer
+from cabinpose.store.part import temporary_parts
 from cabinpose.store.part_facts import check_part
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, PartPlans, manifest_yaml, read_manifest, with_checksum_line
 
@@ -91,21 +90,21 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
     made = not path.exists()
     try:
         path.mkdir(parents=True, exist_ok=True)
-        lock = os.open(path, os.O_RDONLY)
+        refuse_other_writer(path, DatasetError)
+        held = lock(path, path, DatasetError)
     except OSError as error:
         raise DatasetError(f"cannot use {path} as a folder: {error.strerror}", hint="give another output folder") from error
     try:
-        _lock(path, lock)
         _prepare(path, manifest, overwrite=overwrite, resume=resume)
         new = not (path / MANIFEST_NAME).exists()
-        writer = DatasetWriter(path, manifest, lock, new=new, made=made)
+        writer = DatasetWriter(path, manifest, held, new=new, made=made)
         for plan in writer.complete():
             check_part(path / plan.name, plan, manifest)
         _check_space(writer)
-        with disk_errors(path):
+        with output_errors(path, DatasetError):
             _write_manifest(path, manifest)
     except BaseException:
-        os.close(lock)
+        os.close(held)
         if made and not any(path.iterdir()):
             path.rmdir()
         raise
@@ -140,17 +139,6 @@ def _remove_temporary(path: Path) -> None:
     for part in temporary_parts(path):
         shutil.rmtree(part, ignore_errors=True)
     (path / _HIDDEN_MANIFEST).unlink(missing_ok=True)
-
-
-def _lock(path: Path, descriptor: int) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise DatasetError(
-            f"another process is writing to {path}", hint="wait until it has finished, or give another folder with --out"
-        ) from None
-    except OSError:
-        return  # a file system without locks: two writers would still write the same bytes
 
 
 def _check_same(path: Path, old: Manifest, new: Manifest) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -171,6 +172,13 @@ def depth_mm(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.rint(np.nan_to_num(depth_m) * 1000).astype(np.uint16)
 
 
+def png(image: NDArray[Any]) -> bytes:
+    """As `write_png`, in memory."""
+    buffer = BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "png")
+    return buffer.getvalue()
+
+
 def write_png(path: Path, image: NDArray[Any]) -> None:
     """One PNG: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB."""
-    Image.fromarray(np.ascontiguousarray(image)).save(path, "png")
+    path.write_bytes(png(image))

@@ -19,13 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cabinpose.core import DatasetError
+from cabinpose.core import FULL_DISK, DatasetError, output_errors
 from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable
 from cabinpose.store.shard import ShardWriter, compressed, compressed_column, depth_ticks
 from cabinpose.store.zarr_metadata import array_json, dimension_labels, group_json, zarr_arrays
 
 _SUFFIX = ".tmp"
-FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # or a quota, or a limit of the size of files
 _serial = count()
 
 
@@ -35,17 +34,15 @@ def temporary_parts(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def disk_errors(folder: Path) -> Iterator[None]:
-    """Turn a full disk, a quota or a file-size limit into a `DatasetError` that says how to go on."""
+def _part_errors(folder: Path) -> Iterator[None]:
+    """Turn what the system refuses into a `DatasetError`; after a full disk or a quota it says how to go on."""
     try:
-        yield
-    except OSError as error:
-        if error.errno not in FULL_DISK:
-            raise
-        raise DatasetError(
-            f"no space left while writing to {folder}",
-            hint="free some disk space, then run the same command again (synth: with --resume; complete parts are kept)",
-        ) from error
+        with output_errors(folder, DatasetError):
+            yield
+    except DatasetError as error:
+        if isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL_DISK:
+            error.hint = "free some disk space, then run the same command again with --resume; complete parts are kept"
+        raise
 
 
 class EncodedFrame(NamedTuple):
@@ -112,7 +109,7 @@ class PartWriter:
         self._skipped: list[int] = []
 
     def __enter__(self) -> PartWriter:
-        with disk_errors(self.folder):
+        with _part_errors(self.folder):
             self._temporary.mkdir()
         return self
 
@@ -128,7 +125,7 @@ class PartWriter:
     def append_encoded(self, frame: EncodedFrame) -> None:
         """Add the next frame as `encode_frame` gives it. Raises `DatasetError` for one frame too many."""
         self._expect_another()
-        with disk_errors(self.folder):
+        with _part_errors(self.folder):
             for name, chunk in frame.images.items():
                 self._images[name].append(chunk)
         for name, value in frame.values.items():
@@ -143,7 +140,7 @@ class PartWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
             if kind is None:
-                with disk_errors(self.folder):
+                with _part_errors(self.folder):
                     self._commit()
         finally:
             for image in self._images.values():

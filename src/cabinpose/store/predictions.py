@@ -22,8 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsError
-from cabinpose.store.part import disk_errors
+from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsError, whole_file
 
 FORMAT: Final = "cabinpose-predictions"
 VERSION: Final = 1
@@ -102,16 +101,11 @@ def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: 
     file = Path(path)
     check_new_predictions(file, overwrite=overwrite)
     header = {"format": FORMAT, "version": VERSION} | {name: getattr(predictions, name) for name in _HEADER_KEYS[2:]}
-    temporary = file.with_name(f".{file.name}.tmp")
-    try:
-        with disk_errors(file.parent):
-            if file.suffix == ".parquet":
-                _write_parquet(temporary, header, predictions)
-            else:
-                _write_lines(temporary, header, predictions)
-            temporary.replace(file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(file, kind=PredictionsError) as partial:
+        if file.suffix == ".parquet":
+            _write_parquet(partial, header, predictions)
+        else:
+            _write_lines(partial, header, predictions)
     return file
 
 

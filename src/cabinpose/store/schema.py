@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cabinpose.core import CABINPOSE, JOINTS, OCCUPANT_SLOTS, OTHER_SKELETONS, DatasetError, Visibility, parse_yaml
+from cabinpose.core import CABINPOSE, JOINTS, OCCUPANT_SLOTS, OTHER_SKELETONS, DatasetError, Visibility, left_before, parse_yaml
 
 SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1
@@ -385,6 +385,8 @@ def read_manifest(folder: Path | str) -> Manifest:
         text = path.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
         if not Path(folder).exists():
+            if (old := left_before(Path(folder))) is not None:
+                raise DatasetError(f"a writer of {folder} was ended while it replaced it", hint=f"mv {old} {folder}") from None
             raise DatasetError(f"{folder} does not exist", hint="give the folder of a dataset") from None
         raise DatasetError(
             f"{folder} holds no dataset: {MANIFEST_NAME} is missing", hint="give the folder that holds dataset.yaml"

@@ -6,7 +6,6 @@ Unknown is said openly: NaN for joints, intrinsics and extrinsics, `ABSENT` for 
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import DatasetError
+from cabinpose.core import DatasetError, output_errors, stage_of, unwritable, whole_folder
 from cabinpose.store.dataset import create_dataset
-from cabinpose.store.part import PartWriter, disk_errors
+from cabinpose.store.part import PartWriter
 from cabinpose.store.schema import MANIFEST_NAME, Manifest
 
 UNKNOWN = "unknown"
@@ -82,10 +81,23 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
     check_new_dataset(folder, overwrite=overwrite)
     if source.path.resolve().is_relative_to(folder.resolve()):
         raise DatasetError(f"{folder} holds the source, {source.path}", hint="give another folder with --out")
+    try:
+        with new_folder(folder, overwrite=overwrite) as temporary:
+            _fill(source, temporary, report)
+    except DatasetError as error:
+        hidden = f"{stage_of(folder.resolve())}" in str(error)
+        if hidden and isinstance(error.__cause__, OSError):  # the hint is how synth goes on
+            raise unwritable(folder, error.__cause__, DatasetError) from error.__cause__
+        raise
+    return folder
+
+
+def _fill(source: Source, folder: Path, report: Report | None) -> None:
+    """Write the frames of a source into a new folder."""
     manifest, frames, done = source.manifest, source.frames(), 0
-    with whole_folder(folder, "import", overwrite=overwrite) as temporary, create_dataset(temporary, manifest):
+    with create_dataset(folder, manifest):
         for plan in manifest.parts:
-            with PartWriter(temporary, plan, manifest) as part:
+            with PartWriter(folder, plan, manifest) as part:
                 for _ in range(plan.frames):
                     frame = next(frames, None)
                     if frame is None:
@@ -94,7 +106,6 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
                     done += 1
                     if report is not None:
                         report(done)
-    return folder
 
 
 def check_new_dataset(folder: Path, *, overwrite: bool) -> None:
@@ -108,17 +119,13 @@ def check_new_dataset(folder: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def whole_folder(folder: Path, what: str, *, overwrite: bool) -> Iterator[Path]:
+def new_folder(folder: Path, *, overwrite: bool) -> Iterator[Path]:
     """The name of a folder to make, which takes the place of `folder` when the block ends without an error, else is removed."""
-    if folder.exists() and not overwrite and (not folder.is_dir() or any(folder.iterdir())):
-        raise DatasetError(f"{folder} exists and is not empty", hint="--overwrite replaces it, or give another folder with --out")
-    temporary = folder.parent / f".{folder.name}.{what}.tmp"
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
-        with disk_errors(folder):
-            yield temporary
-            if folder.exists():
-                shutil.rmtree(folder)
-            temporary.rename(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with output_errors(folder, DatasetError):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    with whole_folder(folder, kind=DatasetError) as temporary:
+        if folder.exists() and not overwrite and (not folder.is_dir() or any(folder.iterdir())):
+            raise DatasetError(
+                f"{folder} exists and is not empty", hint="--overwrite replaces it, or give another folder with --out"
+            )
+        yield temporary

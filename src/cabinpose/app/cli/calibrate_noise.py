@@ -14,7 +14,7 @@ from tyro.conf import Positional
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, is_recording, refuse_existing, several
 from cabinpose.app.cli.output import print_json, print_rows, print_table, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError, DatasetError, RecordingError
+from cabinpose.core import ConfigError, DatasetError, RecordingError, write_together
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -218,12 +218,6 @@ def _write(
             text = yaml.safe_dump(configuration, sort_keys=False, default_flow_style=None, width=130)
             texts[f"{kind}.yaml"] = f"# by `cabinpose calibrate-noise`, of {len(walls)} walls\n{text}"
     texts["index.html"] = noise_page(walls, empirical, physical)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name in _FILES:
-            if name in texts:
-                (out / name).write_text(texts[name], encoding="utf-8")
-            else:
-                (out / name).unlink(missing_ok=True)  # of an earlier fit
-    except OSError as error:
-        raise ConfigError(f"cannot write to {out}: {error.strerror}", hint="give a folder with --out") from error
+    write_together(out, {name: texts[name] for name in reversed(_FILES) if name in texts})
+    for name in set(_FILES) - texts.keys():
+        (out / name).unlink(missing_ok=True)  # of an earlier fit

@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
-from cabinpose.core import ConfigError, SceneError
+from cabinpose.core import ConfigError, SceneError, whole_file, write_whole
 
 if TYPE_CHECKING:
     from cabinpose.app.car_check import CarReport
@@ -70,7 +70,6 @@ def run(command: CarInit | CarCheck) -> None:
 def _init(command: CarInit) -> None:
     from cabinpose.app.car_check import point_text
     from cabinpose.scene.cabin import draft_car_file
-    from cabinpose.store import disk_errors
 
     _refuse_existing(command.out, command.overwrite)
     with progress() as report:
@@ -78,9 +77,8 @@ def _init(command: CarInit) -> None:
         draft = draft_car_file(
             command.mesh, command.out, up_axis=command.up_axis, front_axis=command.front_axis, unit=command.unit
         )
-    with disk_errors(command.out):
-        command.out.parent.mkdir(parents=True, exist_ok=True)
-        command.out.write_text(draft.text, encoding="utf-8")
+    command.out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(command.out, draft.text)
     wheel = draft.wheel
     if command.as_json:
         seats = {slot: {"h_point": seat.h_point.tolist(), "score": seat.score} for slot, seat in draft.seats.items()}
@@ -210,7 +208,6 @@ def _draw(file: Path, report: CarReport, picture: Path) -> None:
     from PIL import Image as PilImage
 
     from cabinpose.app.view.car import draw_car
-    from cabinpose.store import disk_errors
     from cabinpose.synth import FrameMaker, SynthConfig
 
     held = {slot: float(trial.held > 0) for slot, trial in report.trials.items()}
@@ -227,6 +224,6 @@ def _draw(file: Path, report: CarReport, picture: Path) -> None:
     verdicts = {slot: f"{t.held}/{t.tried} hold{pushed[slot]}" for slot, t in report.trials.items()}
     wrong = [where for trial in report.trials.values() for where in trial.where]
     image = draw_car(report.cabin, config.camera.sensor_model.camera, verdicts, wrong, frame)
-    with disk_errors(picture.parent):
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        PilImage.fromarray(image).save(picture)
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(picture) as partial:
+        PilImage.fromarray(image).save(partial)

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import DatasetArgument, PrintsJson, one_of, several
 from cabinpose.app.cli.output import print_json, print_rows, progress
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, write_whole
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -100,13 +100,9 @@ def _write(text: str, file: Path | None) -> None:
     if file is None:
         print(text, end="")
         return
-    try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-    except FileExistsError:
-        raise ConfigError(f"{file} exists", hint="give another name; nothing is overwritten") from None
-    except OSError as error:
-        raise ConfigError(f"cannot write {file}: {error.strerror}", hint="give a file in a folder that exists") from error
+    if file.exists():
+        raise ConfigError(f"{file} exists", hint="give another name; nothing is overwritten")
+    write_whole(file, text, kind=ConfigError)
     print(f"wrote {file}", file=sys.stderr)
 
 

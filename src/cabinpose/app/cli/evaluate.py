@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, metres, refuse_existing, renamed, several
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
-from cabinpose.core import ConfigError, DatasetError
+from cabinpose.core import ConfigError, DatasetError, write_together
 from cabinpose.evaluate import EvaluationOptions
 
 if TYPE_CHECKING:
@@ -232,15 +232,10 @@ def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> t
 
 def write_report(folder: Path, page: str, record: dict[str, Any]) -> None:
     """Write a page and its numbers as index.html and report.json; DatasetError where there is no such folder."""
-    from cabinpose.store import disk_errors
-
-    with disk_errors(folder):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError):
-            raise DatasetError(f"{folder} is no folder", hint="give another folder with --out") from None
-        (folder / "index.html").write_text(page, encoding="utf-8")
-        (folder / "report.json").write_text(json.dumps(finite(record), allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    if folder.exists() and not folder.is_dir():
+        raise DatasetError(f"{folder} is no folder", hint="give another folder with --out")
+    numbers = json.dumps(finite(record), allow_nan=False, indent=1) + "\n"
+    write_together(folder, {"index.html": page, "report.json": numbers})
 
 
 def write_boxes(folder: Path, reports: Sequence[Report]) -> None:

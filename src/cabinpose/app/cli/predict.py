@@ -12,7 +12,7 @@ from tyro.conf import arg
 
 from cabinpose.app.cli.arguments import DatasetArgument, Maybe, RunsModels, SelectsFrames, several
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, check_output
 
 if TYPE_CHECKING:
     import numpy as np
@@ -62,6 +62,7 @@ def run(command: Predict) -> None:
 
     of_parts = command.out.suffix == SUFFIX
     check = check_new_class_images if of_parts else check_new_predictions
+    check_output(command.out, parents=False)
     check(command.out, overwrite=command.overwrite)  # before the work, not at its end
     dataset = selected(open_dataset(command.dataset), command)
     name = dataset_id(read_manifest(command.dataset))

@@ -44,7 +44,7 @@ def run(command: View) -> None:
     """Draw, and print the names of the files."""
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.view.sheet import VIEW_FILES
-    from cabinpose.store import disk_errors, open_dataset, read_manifest
+    from cabinpose.store import open_dataset, read_manifest
 
     folder, out, frames, rows = command.dataset, command.out, command.frames, command.rows
     if frames < 1 or rows < 1:
@@ -58,15 +58,14 @@ def run(command: View) -> None:
         require("record")
         from cabinpose.app.report.recordings import write_recording_view
 
-        with no_empty_folder(out), disk_errors(out), progress(frames, "moments") as report:
+        with no_empty_folder(out), progress(frames, "moments") as report:
             write_recording_view(folder, out, frames=frames, rows=rows, report=report)
     else:
         from cabinpose.app.view.page import write_view
 
         manifest = read_manifest(folder)
         dataset = selected(open_dataset(folder), command)
-        with no_empty_folder(out), disk_errors(out), progress(frames + rows, "frames") as report:
-            out.mkdir(parents=True, exist_ok=True)
+        with no_empty_folder(out), progress(frames + rows, "frames") as report:
             write_view(dataset, manifest, folder, out, frames=frames, rows=rows, report=report)
     sheet, page = (out / name for name in VIEW_FILES)
     if command.as_json:

@@ -39,7 +39,7 @@ from cabinpose.app.lab.takes import (
     write_pair_take,
     write_pose_take,
 )
-from cabinpose.core import ConfigError, invert
+from cabinpose.core import ConfigError, invert, write_whole
 from cabinpose.store import read_mapping, validated
 
 
@@ -121,7 +121,7 @@ def _write_session(folder: Path, rig: VirtualRig, board: Board, actors: Sequence
 
 
 def _write_yaml(path: Path, data: dict[str, Any]) -> None:
-    path.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+    write_whole(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120))
 
 
 def load_rig(path: Path) -> VirtualRig:

@@ -29,7 +29,7 @@ from cabinpose.app.lab.rig import Device, Source, VirtualRig
 from cabinpose.app.lab.scene import SceneCamera, message_of, world_from_room, world_from_vehicle
 from cabinpose.app.lab.suit import Wear, as_worn, hand_offset, put_on, steel_of, true_segments
 from cabinpose.app.lab.writing import samples, write_recording
-from cabinpose.core import JOINTS, MVN_SEGMENTS, Matrix, SceneError, apply
+from cabinpose.core import JOINTS, MVN_SEGMENTS, Matrix, SceneError, apply, whole_file
 from cabinpose.scene import furnish_room
 from cabinpose.scene.body import Person
 from cabinpose.scene.sensor import Sensor
@@ -118,7 +118,8 @@ class Truth:
     def save(self, path: Path) -> None:
         """Write it as one .npz."""
         values: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-        np.savez_compressed(path, **values)
+        with whole_file(path) as partial:
+            np.savez_compressed(partial, **values)
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -209,7 +210,8 @@ def _write(
         streams["tof"] = _tof(rig, camera, people, rate_hz, seconds, truths, rng=rng)
     car = "" if room else people[0][0].stage.car
     subjects = tuple(Participant(code=actor.code, seat=None if room else moves.slot) for actor, moves in people)
-    write_recording(path, rig, Take(action=played.action, car=car, subjects=subjects), streams)
+    with whole_file(path) as partial:
+        write_recording(partial, rig, Take(action=played.action, car=car, subjects=subjects), streams)
     result = []
     for (actor, moves), values in zip(people, truths, strict=True):
         result.append(_truth(rig, actor, moves, world, values))

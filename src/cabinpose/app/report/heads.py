@@ -10,8 +10,8 @@ import numpy as np
 from cabinpose.app.report.charts import legend, series_chart
 from cabinpose.app.report.frames import overlay
 from cabinpose.app.report.html import document, el, section
-from cabinpose.core import CABINPOSE
-from cabinpose.store import disk_errors, open_dataset
+from cabinpose.core import CABINPOSE, write_whole
+from cabinpose.store import open_dataset
 
 _SHOWN = 2  # best and worst frames of each take
 _NONE = np.zeros((0, len(CABINPOSE.joints), 2), np.float32)
@@ -50,6 +50,5 @@ def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], ou
         section("Over the takes", chart + legend(lines), note),
         section("Best and worst frames", el("div", *pictures, class_="frames")),
     ]
-    with disk_errors(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(document(f"Heads: {folder.name}", "Agreement of the heads", summary, sections), encoding="utf-8")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, document(f"Heads: {folder.name}", "Agreement of the heads", summary, sections))

@@ -14,6 +14,7 @@ from PIL import Image
 
 from cabinpose.app.report.charts import COLOURS, Axis, Margins, Plot, legend, line, nice_step, text
 from cabinpose.app.report.html import Html, el, join
+from cabinpose.core import whole_file
 from cabinpose.evaluate import FrameDistances
 
 OverFrames = Mapping[str, Mapping[str, FrameDistances]]  # by model, then by space
@@ -52,7 +53,7 @@ def write_distances(path: Path, models: OverFrames) -> None:
     A field is `inf` where what counts was not found, and empty where nothing counts.
     """
     joints = next(d.joints for by_space in models.values() for d in by_space.values())
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["model", "space", "unit", "frame", "mean", *joints])
         for name, by_space in models.items():

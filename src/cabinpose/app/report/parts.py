@@ -13,9 +13,9 @@ from cabinpose.app.report.charts import COLOURS
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles, with_small
 from cabinpose.app.view.draw import Image, depth_image, depth_range, text
 from cabinpose.app.view.sheet import caption
-from cabinpose.core import Part, Segmenter
+from cabinpose.core import Part, Segmenter, write_whole
 from cabinpose.evaluate import PartsReport, PartsValue, pairs
-from cabinpose.store import write_png
+from cabinpose.store import png
 
 _BACKGROUND = (38, 40, 46)
 _PAPER = (247, 248, 250)
@@ -67,7 +67,7 @@ def write_sheet(path: Path, parts: Sequence[Part], shown: Pictures) -> None:
         strip = np.full((_HEAD, width, 3), _PAPER, np.uint8)
         text(strip, words, (4, _HEAD - 10))
         rows += [strip, picture]
-    write_png(path, np.concatenate(rows))
+    write_whole(path, png(np.concatenate(rows)))
 
 
 def part_colours(parts: Sequence[Part]) -> NDArray[np.uint8]:

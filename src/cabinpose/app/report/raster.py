@@ -12,6 +12,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from cabinpose.app.report.charts import COLOURS, ValueScale, series_chart, text
 from cabinpose.app.report.html import Html, el
+from cabinpose.core import whole_file
 
 _INK, _SOFT, _LINE = "#1d2129", "#626b79", "#dde1e7"  # the colours of the pages by day
 _SHARP, _FINER = 2, 2  # px of the picture a px of the chart, and how many times larger it is painted
@@ -30,7 +31,8 @@ def write_png(path: Path, drawn: Sequence[Html], names: Iterable[str] = ()) -> N
     for part in parts:
         whole.paste(part, (0, top))
         top += part.height
-    whole.save(path, "png")
+    with whole_file(path) as partial:
+        whole.save(partial, "png")
 
 
 def _legend(names: Sequence[str]) -> Html:
@@ -107,6 +109,4 @@ def curves_chart(rows: Sequence[Mapping[str, float]], best: int | None, monitor:
 
 def write_curves(path: Path, rows: Sequence[Mapping[str, float]], best: int | None, monitor: str, stops: bool) -> None:
     """Write the picture; the file is replaced when it is whole."""
-    partial = path.with_suffix(".tmp")
-    write_png(partial, [curves_chart(rows, best, monitor, stops)], _LINES.values())
-    partial.replace(path)
+    write_png(path, [curves_chart(rows, best, monitor, stops)], _LINES.values())

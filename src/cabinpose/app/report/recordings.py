@@ -14,8 +14,9 @@ from cabinpose.app.report.html import Html, document, el, figure, picture_uri, s
 from cabinpose.app.report.timeline import interval_chart, timeline
 from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, depth_range, resized, text
 from cabinpose.app.view.sheet import VIEW_FILES
+from cabinpose.core import write_together
 from cabinpose.signals import Markers, Sample, SegmentPoses, ToFFrame
-from cabinpose.store import write_png
+from cabinpose.store import png
 from cabinpose.store.recording import Recording, SourceSurvey, Survey, survey
 
 _HEIGHT = 200  # px of a picture
@@ -47,10 +48,8 @@ def write_recording_view(path: Path, out: Path, *, frames: int, rows: int, repor
                     shots[source.name].append(shot)
             report(done)
     shots = {name: series for name, series in shots.items() if series}
-    sheet, page = (out / name for name in VIEW_FILES)
-    out.mkdir(parents=True, exist_ok=True)  # not before the recording was read: a mistake leaves no folder
-    write_png(sheet, contact_sheet(shots, rows))
-    page.write_text(page_html(found, shots), encoding="utf-8")
+    sheet, page = VIEW_FILES
+    write_together(out, {page: page_html(found, shots), sheet: png(contact_sheet(shots, rows))})
 
 
 def source_rows(found: Survey) -> list[list[str]]:

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from cabinpose.app.studio.scene_form import Path as Key
-from cabinpose.core import CabinposeError, ConfigError, Matrix, SceneError, invert, nearest_rigid, read_yaml
+from cabinpose.core import CabinposeError, ConfigError, Matrix, SceneError, invert, nearest_rigid, read_yaml, write_whole
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.cabin import read_car_file
 from cabinpose.synth import (
@@ -270,13 +270,9 @@ class SceneEditor:
         text = f"# seed {self.state.seed}, frame {self.state.index}\n" + yaml.safe_dump(
             self.state.data, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True
         )
-        try:
-            with path.open("w" if overwrite else "x", encoding="utf-8") as file:
-                file.write(text)
-        except FileExistsError:
-            raise ConfigError(f"{name} exists", hint="choose another name, or overwrite it") from None
-        except OSError as error:
-            raise ConfigError(f"cannot write {path}: {error.strerror}", hint="choose another name") from error
+        if path.exists() and not overwrite:
+            raise ConfigError(f"{name} exists", hint="choose another name, or overwrite it")
+        write_whole(path, text, kind=ConfigError)
         self.file, self.saved = path.name, self.state
         return path
 

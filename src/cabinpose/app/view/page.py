@@ -34,8 +34,8 @@ from cabinpose.app.view.draw import (
 )
 from cabinpose.app.view.sheet import VIEW_FILES, contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
-from cabinpose.core import Visibility
-from cabinpose.store import Manifest, camera_of, dataset_skeleton, depth_mm, label_table, people, write_png
+from cabinpose.core import Visibility, write_together
+from cabinpose.store import Manifest, camera_of, dataset_skeleton, depth_mm, label_table, people, png
 
 _RAY_STEP = 8  # pixels between the rays that the page is given
 
@@ -50,10 +50,10 @@ def write_view(
     dataset = completed(dataset)
     count = dataset.sizes["frame"]
     title = f"{folder.resolve().name}: {count} frames, {manifest.generator} {manifest.generator_version}, seed {manifest.seed}"
-    sheet, page = (out / name for name in VIEW_FILES)
-    write_png(sheet, contact_sheet(dataset, spread(count, rows), title, report))
+    sheet = png(contact_sheet(dataset, spread(count, rows), title, report))
     data = page_data(dataset, manifest, folder, spread(count, frames), lambda done: report(rows + done))
-    page.write_text(page_html(data), encoding="utf-8")
+    sheet_name, page_name = VIEW_FILES
+    write_together(out, {page_name: page_html(data), sheet_name: sheet})
 
 
 def page_html(data: dict[str, Any]) -> str:

@@ -31,4 +31,3 @@ from .recordings import export_recording as export_recording
 from .recordings import import_recording as import_recording
 from .rows import epoch_ns as epoch_ns
 from .rows import rows_of as rows_of
-from .rows import whole_file as whole_file

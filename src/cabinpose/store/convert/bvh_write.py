@@ -20,7 +20,7 @@ from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
 from cabinpose.signals import F64, Facts, Sample, SegmentPoses, resample_positions, resample_rotations
 from cabinpose.store.convert.bvh import WORLD_FROM_FILE, UpAxis, read_bvh_rows
 from cabinpose.store.convert.format import RecordingFormat
-from cabinpose.store.convert.rows import Entry, Row, begun_ns, rows_of, whole_file
+from cabinpose.store.convert.rows import Entry, Row, begun_ns, new_file, rows_of
 
 _UNIT_M = 0.01
 _UP = "y"
@@ -130,7 +130,7 @@ def write_bvh(path: Path, rows: Iterable[Row], *, subject: str | None = None, ov
         raise RecordingError(f"no poses{'' if subject is None else f' of {subject}'} to write", hint="BVH needs segments' poses")
     skeleton, order = _skeleton(names, stated.get(subject or "") or _mvn_parents(names))
     moved = _regular(times, np.array(positions)[:, order], np.array(orientations)[:, order])
-    with whole_file(path, overwrite=overwrite) as file:
+    with new_file(path, overwrite=overwrite) as file:
         _write(file, skeleton, *moved)
     return path
 

@@ -23,7 +23,7 @@ from cabinpose.signals import F64, Channels, Facts, JointAngles, Markers, Sample
 from cabinpose.store.convert.c3d import ANGLES, check_size, ezc3d, read_c3d
 from cabinpose.store.convert.c3d_up import WORLD_FROM_UP, Axis
 from cabinpose.store.convert.format import RecordingFormat
-from cabinpose.store.convert.rows import Entry, Row, begun_ns, rows_of, whole_file
+from cabinpose.store.convert.rows import Entry, Row, begun_ns, new_file, rows_of
 from cabinpose.store.convert.table import Table, TableExport, chosen_subject, told_rate
 
 _MM = 1e3
@@ -134,7 +134,7 @@ def write_c3d(
     _put_analogs(file, list(channels.values()), first_ns, rate, count, facts.get("analog", {}))
     _put_events(file, facts.get("events", {}))
     _put_groups(file, facts)
-    with whole_file(path, overwrite=overwrite, binary=True) as out, TemporaryDirectory(dir=path.parent, prefix=".c3d-") as folder:
+    with new_file(path, overwrite=overwrite, binary=True) as out, TemporaryDirectory(dir=path.parent, prefix=".c3d-") as folder:
         made = Path(folder) / "made.c3d"  # the library wants this ending
         file.write(str(made))
         check_size(made)  # a full disk is no error to the library

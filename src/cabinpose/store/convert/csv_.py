@@ -24,7 +24,7 @@ import numpy as np
 from cabinpose.core import RecordingError
 from cabinpose.signals import ARRAYS, TOPICS, Channels, Facts, Markers, Message, Sample, ToFFrame
 from cabinpose.store.convert.format import NoOptions, RecordingFormat
-from cabinpose.store.convert.rows import whole_file
+from cabinpose.store.convert.rows import new_file
 
 _MOST_TABLES = 400  # open at the same time
 _HEAD = ("host_ns", "device_ns", "sequence", "subject")
@@ -107,7 +107,7 @@ class _Tables:
             self._numbers[source, kind] += 1
             number = self._numbers[source, kind]
             path = self._folder / f"{quote(source, safe=' ')}.{kind}{f'-{number}' if number > 1 else ''}.csv"
-            writer = csv.writer(self._files.enter_context(whole_file(path, overwrite=self._overwrite)), lineterminator="\n")
+            writer = csv.writer(self._files.enter_context(new_file(path, overwrite=self._overwrite)), lineterminator="\n")
             writer.writerow((*_HEAD, *columns()))
             self._writers[source, kind, *key] = writer
             self.paths.append(path)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cabinpose.core import DatasetError
 from cabinpose.store.convert.format import DatasetFormat, format_of, made_options
 from cabinpose.store.schema import MANIFEST_NAME
-from cabinpose.store.source import Report, whole_folder
+from cabinpose.store.source import Report, new_folder
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -78,7 +78,7 @@ def write_parts(
     """Write what `form.parts` gave; everything else as in `export_dataset`."""
     if (folder / MANIFEST_NAME).exists():
         raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
-    with whole_folder(folder, "export", overwrite=overwrite) as temporary:
+    with new_folder(folder, overwrite=overwrite) as temporary:
         temporary.mkdir(parents=True)
         form.write(parts, temporary, options, report or (lambda _: None))
     return folder

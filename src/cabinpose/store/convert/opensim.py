@@ -20,7 +20,7 @@ import scipy
 from cabinpose.core import ZUP_FROM_YUP, MocapError
 from cabinpose.signals import F64, Facts, JointAngles, Markers, Sample, SegmentPoses
 from cabinpose.store.convert.format import RecordingFormat
-from cabinpose.store.convert.rows import Row, rows_of, whole_file
+from cabinpose.store.convert.rows import Row, new_file, rows_of
 from cabinpose.store.convert.table import Table, TableExport, chosen_subject, told_rate
 
 _MM = 1e3
@@ -171,7 +171,7 @@ def _text_file(path: Path, names: Iterable[str], *, overwrite: bool) -> Iterator
                 f"{name!r} is no name for tab-separated text: it is empty, or holds a tab or the end of a line",
                 hint="rename it where it was recorded, or export to csv",
             )
-    with whole_file(path, overwrite=overwrite) as file:
+    with new_file(path, overwrite=overwrite) as file:
         yield file
 
 

@@ -6,13 +6,12 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
-from cabinpose.core import RecordingError
+from cabinpose.core import RecordingError, whole_file
 from cabinpose.signals import Sample
 from cabinpose.store.convert.format import RecordingFormat, format_of, made_options
 from cabinpose.store.convert.rows import Entry
@@ -64,10 +63,8 @@ def import_recording(
     found = read_entries(path, name, take.codes if take is not None else (), **options)
     if out.exists() and not overwrite:
         raise RecordingError(f"{out} exists", hint="--overwrite replaces it, or give another file with --out")
-    temporary = out.with_name(f".{out.name}.import.tmp")
     refused: list[str] = []
-    try:
-        temporary.unlink(missing_ok=True)
+    with whole_file(out, kind=RecordingError) as temporary:
         entries = _named(found)
         first = next(entries, None)
         if first is None:
@@ -78,12 +75,6 @@ def import_recording(
             for source, sample in _samples(chain([first], entries)):
                 refused += writer.write(source, sample)
                 samples[source] += 1
-        temporary.replace(out)
-    except OSError as error:
-        raise RecordingError(f"cannot write {out} ({error.strerror or error})", hint="check the folder and its space") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
     return Imported(out, dict(samples), len(refused), refused[-1] if refused else "")
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
-from cabinpose.core import ConfigError, RecordingError
+from cabinpose.core import ConfigError, RecordingError, whole_file
 from cabinpose.signals import Message, Sample
 
 Row: TypeAlias = tuple[int, int | None, Message]  # host_ns, device_ns, message
@@ -16,20 +16,13 @@ Entry: TypeAlias = tuple[str, int, int | None, Message]  # source, then as in a 
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool, binary: bool = False) -> Iterator[IO[Any]]:
+def new_file(path: Path, *, overwrite: bool, binary: bool = False) -> Iterator[IO[Any]]:
     """A file to write to that gets its name when all is written. Raises RecordingError where it exists or cannot be written."""
     if path.exists() and not overwrite:
         raise RecordingError(f"{path} exists", hint="--overwrite replaces it, or give another file")
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with temporary.open("wb") if binary else temporary.open("w", encoding="utf-8", newline="\n") as file:
-            yield file
-        temporary.replace(path)
-    except OSError as error:
-        raise RecordingError(f"cannot write {path} ({error.strerror or error})", hint="check the folder and its space") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    how: dict[str, Any] = {"mode": "wb"} if binary else {"mode": "w", "encoding": "utf-8", "newline": "\n"}
+    with whole_file(path, kind=RecordingError) as partial, partial.open(**how) as file:
+        yield file
 
 
 def rows_of(samples: Iterable[tuple[str, Sample]]) -> Iterator[Row]:

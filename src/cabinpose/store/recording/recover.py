@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from cabinpose.core import RecordingError
+from cabinpose.core import RecordingError, whole_file
 from cabinpose.store.recording.container import ContainerWriter
 from cabinpose.store.recording.reader import sound_messages
 from cabinpose.store.recording.scan import Chunk, Damage, Scanner
@@ -53,7 +52,6 @@ def recover(damaged: Path, out: Path, *, progress: Callable[[int, int], None] = 
     """
     if out.exists():
         raise RecordingError(f"{out} exists", hint="name another file")
-    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     with Scanner(damaged) as scanner:
         schemas, channels = scanner.definitions()
         beside = [found for found in scanner.walk() if not isinstance(found, Chunk)]
@@ -62,14 +60,9 @@ def recover(damaged: Path, out: Path, *, progress: Callable[[int, int], None] = 
                 f"nothing in {damaged} can be recovered: no channel and no take was found in {scanner.size} bytes",
                 hint="check that it is an MCAP file",
             )
-        try:
-            with recording_errors(temporary):
-                writer = ContainerWriter(temporary, library=LIBRARY, profile=PROFILE)
-            with recording_errors(out):
-                result = _copy(scanner, writer, schemas, channels, beside, progress)
-                temporary.rename(out)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with recording_errors(out), whole_file(out, kind=RecordingError) as temporary:
+            writer = ContainerWriter(temporary, library=LIBRARY, profile=PROFILE)
+            result = _copy(scanner, writer, schemas, channels, beside, progress)
     return result
 
 

@@ -19,9 +19,9 @@ from types import TracebackType
 from typing import Any
 
 from cabinpose import __version__
-from cabinpose.core import RecordingError
+from cabinpose.core import FULL_DISK, RecordingError
 from cabinpose.signals import Sample
-from cabinpose.store.part import FULL_DISK, sync
+from cabinpose.store.part import sync
 from cabinpose.store.recording.container import DEFINITIONS_S, Compression, ContainerWriter
 from cabinpose.store.recording.messages import Record, encode, encode_json, encode_status
 from cabinpose.store.recording.schemas import (
