@@ -17,6 +17,7 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TextIO
 
+from cabinpose.app.cli.interrupt import Ended, interruptions
 from cabinpose.app.cli.output import TOLD, printable
 
 GROUPS = MappingProxyType(
@@ -85,10 +86,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 0 done, 1 done with a problem, 2 a mistake that the user can mend, 130 interrupted.
+        The exit code: 0 done, 1 done with a problem, 2 a mistake that the user can mend, 130 interrupted, 143 asked to end.
     """
     import cabinpose
-    from cabinpose.core import CabinposeError
+    from cabinpose.core import FULL_DISK, CabinposeError, check_output, is_refused, unwritable
+
+    _open_stdout()
 
     arguments = list(sys.argv[1:] if argv is None else argv)
     verb, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])
@@ -106,7 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         from cabinpose.app.cli.commands import parsed
 
         module = verb_module(verb)
-        with warnings.catch_warnings():
+        with interruptions(), warnings.catch_warnings():
             warnings.showwarning = _print_warning
             TOLD.clear()
             words = module.modernised(rest) if hasattr(module, "modernised") else rest
@@ -114,7 +117,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
                 raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
             command = parsed(verb, module.COMMAND, words, _summary(verb))
+            for name in ("out", "report"):  # before the work, which would be lost
+                if isinstance(path := getattr(command, name, None), Path):
+                    check_output(path)
             code: int | None = module.run(command)
+            sys.stdout.flush()
             return code or 0
     except CabinposeError as error:
         print(f"error: {printable(error)}", file=sys.stderr)
@@ -126,12 +133,47 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(f"error: {error}", file=sys.stderr)  # the message ends with its own hint
         return 2
+    except Ended:
+        print("ended", file=sys.stderr)
+        return 143
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of stdout has gone, for example `head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence()
+    except OSError as error:
+        if error.filename is None and (error.errno in FULL_DISK or _stdout_refuses()):
+            _silence()
+            print(f"error: cannot write to standard output: {error.strerror}", file=sys.stderr)
+            return 1
+        if not is_refused(error) or error.filename is None:
+            raise
+        told = unwritable(Path(error.filename), error)
+        print(f"error: {printable(told)}\nhint: {told.hint}", file=sys.stderr)
+        return 2
     return 0
+
+
+def _stdout_refuses() -> bool:
+    try:
+        sys.stdout.flush()
+    except OSError:
+        return True
+    return False
+
+
+def _silence() -> None:
+    """Nothing more goes to stdout, nor the rest of it at the end of the process."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _open_stdout() -> None:
+    """A closed stdout is one that refuses: no file that is opened later may get its number."""
+    if sys.stdout is None:
+        descriptor = os.open(os.devnull, os.O_RDONLY)
+        if descriptor != 1:
+            os.dup2(descriptor, 1)
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - it lives as long as the process
 
 
 def _print_warning(

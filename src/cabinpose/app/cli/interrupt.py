@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
@@ -24,6 +26,28 @@ def asked_to_stop(told: str) -> Iterator[Callable[[], bool]]:
 
     with _handled((signal.SIGINT, *_ENDS), note):
         yield lambda: asked
+
+
+class Ended(KeyboardInterrupt):
+    """The process was asked to end (SIGTERM)."""
+
+
+@contextmanager
+def interruptions() -> Iterator[None]:
+    """SIGTERM is an exception within the block, so that work ends as after Ctrl-C; processes begun within end at once by it."""
+    mine = os.getpid()
+
+    def end(*_: object) -> None:
+        if os.getpid() != mine:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            os.kill(os.getpid(), signal.SIGTERM)
+        raise Ended
+
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        with _handled((signal.SIGTERM,), end):
+            yield
+    else:
+        yield
 
 
 @contextmanager
