@@ -78,6 +78,9 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(OutputError, match="no space left") as error:
         write_together(tmp_path / "out", {"a": "new", "b": "new"})
     assert "--resume" not in str(error.value.hint)
+    with pytest.raises(OutputError, match="no space left"):
+        write_together(tmp_path / "none", {"a": "new"})
+    assert not (tmp_path / "none").exists()
     assert {path.name: path.read_text() for path in (tmp_path / "out").iterdir()} == {"a": "old", "b": "old"}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -199,3 +199,12 @@ def test_a_source_that_shrinks(spheres: ModuleType, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="ended after 1 frames"):
         import_source(source, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_is_too_small_is_told_of_the_folder_that_was_asked_for(
+    png_json: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cabinpose.store.dataset.shutil.disk_usage", lambda _: SimpleNamespace(free=10))
+    with pytest.raises(DatasetError, match=f"frames need about .*, {tmp_path / 'out'} has"):
+        import_source(open_source(png_json, "png-json"), tmp_path / "out")
+    assert not list(tmp_path.iterdir())

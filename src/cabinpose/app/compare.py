@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.report.raster import write_curves
 from cabinpose.app.training import read_train_config, stored_frames
-from cabinpose.core import ITOP, ConfigError, DatasetError, FrameBatch, unknown_name, whole_file, write_whole
+from cabinpose.core import ITOP, ConfigError, DatasetError, FrameBatch, make_folder, unknown_name, whole_file, write_whole
 from cabinpose.estimate import METHODS, load_model
 from cabinpose.evaluate import BATCH, EvaluationOptions, Report, evaluate_itop, frame_batch
 from cabinpose.store import (
@@ -120,7 +120,7 @@ def train_model(
     known = [path for path in (out / "model.onnx", out / "best.npz") if path.exists()]
     if known:
         return known[0]
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     write_whole(record, text)
     datasets = {str(folder): open_dataset(folder) for folder in data}
     training, validation = stored_frames(datasets, frame_spec(config), None, "train", "validate")
@@ -188,7 +188,7 @@ def answers(model_file: Path, test: Test, file: Path, progress: Callable[[int], 
     began = time.process_time()
     model.predict(timed)
     cpu_s = (time.process_time() - began) / len(timed["depth"])
-    file.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(file.parent)
     result = Answers(np.concatenate(found).astype(np.float64), cpu_s)
     with whole_file(file) as partial:
         np.savez_compressed(partial, key=np.array(key), joints_3d=result.joints_3d, cpu_s=np.array(cpu_s))

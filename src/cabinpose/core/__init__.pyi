@@ -87,6 +87,7 @@ from .whole import interrupts_held as interrupts_held
 from .whole import is_refused as is_refused
 from .whole import left_before as left_before
 from .whole import lock as lock
+from .whole import make_folder as make_folder
 from .whole import output_errors as output_errors
 from .whole import refuse_other_writer as refuse_other_writer
 from .whole import stage_of as stage_of

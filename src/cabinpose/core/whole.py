@@ -24,7 +24,7 @@ FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of errors: a full disk, a quota, or a limit of the size of files."""
 _REFUSED = (
     errno.EACCES, errno.EPERM, errno.EROFS, errno.EIO, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EBUSY,
-    errno.EXDEV,
+    errno.EXDEV, errno.EEXIST,
 )  # fmt: skip
 _NAME_BYTES = 255  # of most file systems
 _OLD = "before"
@@ -165,6 +165,12 @@ def whole_folder(path: Path, *, kind: type[CabinposeError] = OutputError) -> Ite
                 os.close(held)
 
 
+def make_folder(path: Path, kind: type[CabinposeError] = OutputError) -> None:
+    """Make a folder for outputs, and those above it, unless it is there. Where it is a link, what the link leads to."""
+    with output_errors(path, kind):
+        _real(path).mkdir(parents=True, exist_ok=True)
+
+
 def write_whole(path: Path, content: str | bytes, *, kind: type[CabinposeError] = OutputError) -> None:
     """Write a text, as UTF-8, or bytes; the file takes its name when it is whole."""
     with whole_file(path, kind=kind) as partial:
@@ -177,13 +183,20 @@ def write_together(folder: Path, contents: Mapping[str, str | bytes], *, kind: t
     They take their names one after another, from the last to the first. A kill in between leaves new ones beside old ones, each
     whole; so the first is the one that readers open, which stays the old one until all others are there.
     """
+    made = not folder.exists()
+    make_folder(folder, kind)
     with ExitStack() as stack:
-        with output_errors(folder, kind):
-            folder.mkdir(parents=True, exist_ok=True)
+        if made:
+            stack.callback(_remove_empty, folder)
         for name, content in contents.items():
             partial = stack.enter_context(whole_file(folder / name, kind=kind))
             partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
             _sync(partial)
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def lock(folder: Path, told: Path, kind: type[CabinposeError]) -> int:

@@ -7,6 +7,7 @@ A run that was killed goes on from its last whole epoch with the numbers that it
 from __future__ import annotations
 
 import logging
+import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
@@ -29,7 +30,7 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ConfigError, ModelError, check_archive, output_errors, write_whole
+from cabinpose.core import ConfigError, ModelError, check_archive, lock, make_folder, output_errors, write_whole
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import Mirror, mirrored_labels
 from cabinpose.estimate.batch import Batch, ray_tensor
@@ -236,7 +237,7 @@ def fit(
     if resumed is not None:
         check_same(resumed, config)
     lightning.seed_everything(config.seed, workers=True, verbose=False)
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     frames = _Frames(config, training, validation)
     figure = TASKS[METHODS[config.method].task].best
     monitor, mode = ("val_loss", "min") if config.best_by == "loss" else (figure, "max")
@@ -259,7 +260,7 @@ def fit(
             detector.spare_batches = config.epochs * config.workers
         if start.init is not None and not last.exists():
             begin_with(detector, start.init, training)
-        with output_errors(out), _interruptible():
+        with output_errors(out), _alone(out, trainer), _interruptible():
             trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"
 
@@ -272,6 +273,17 @@ class _WholeCheckpoints(TorchCheckpointIO):
         buffer = BytesIO()
         torch.save(checkpoint, buffer)
         write_whole(Path(path), buffer.getvalue(), kind=ModelError)
+
+
+@contextmanager
+def _alone(out: Path, trainer: lightning.Trainer) -> Iterator[None]:
+    """Hold a run's folder, which no other run goes on with meanwhile; the processes of this one share it."""
+    held = lock(out, out, ModelError) if trainer.is_global_zero else None
+    try:
+        yield
+    finally:
+        if held is not None:
+            os.close(held)
 
 
 @contextmanager
@@ -302,7 +314,7 @@ def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: 
         seen = {name: value.numpy() for name, value in task.inputs(batch, settings).items()}
         errors.append(task.errors(method.find(arrays, settings, seen), batch, settings))
     card = {"frames": len(frames), "seed": config.seed} | {n: round(value, 2) for n, value in task.figures(errors).items()}
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card)
     return best
 

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import DatasetError, lock, output_errors, refuse_other_writer
+from cabinpose.core import DatasetError, lock, output_errors, refuse_other_writer, write_whole
 from cabinpose.store.part import temporary_parts
 from cabinpose.store.part_facts import check_part
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, PartPlans, manifest_yaml, read_manifest, with_checksum_line
 
 _COMPRESSION = 0.7  # of the raw size; noisy depth at 352x287 measured 0.5
 _FRAMES_A_DAY = 100 * 86_400  # at a hundred a second
-_HIDDEN_MANIFEST = f".{MANIFEST_NAME}.tmp"
 
 
 class DatasetWriter:
@@ -89,7 +88,7 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
     path = Path(folder)
     made = not path.exists()
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        Path(os.path.realpath(path)).mkdir(parents=True, exist_ok=True)  # where a link leads to
         refuse_other_writer(path, DatasetError)
         held = lock(path, path, DatasetError)
     except OSError as error:
@@ -138,7 +137,6 @@ def _prepare(path: Path, manifest: Manifest, *, overwrite: bool, resume: bool) -
 def _remove_temporary(path: Path) -> None:
     for part in temporary_parts(path):
         shutil.rmtree(part, ignore_errors=True)
-    (path / _HIDDEN_MANIFEST).unlink(missing_ok=True)
 
 
 def _check_same(path: Path, old: Manifest, new: Manifest) -> None:
@@ -190,9 +188,4 @@ def frame_bytes(manifest: Manifest) -> int:
 
 
 def _write_manifest(path: Path, manifest: Manifest) -> None:
-    hidden = path / _HIDDEN_MANIFEST
-    with hidden.open("w", encoding="utf-8") as file:
-        file.write(with_checksum_line(manifest_yaml(manifest)))
-        file.flush()
-        os.fsync(file.fileno())
-    hidden.replace(path / MANIFEST_NAME)
+    write_whole(path / MANIFEST_NAME, with_checksum_line(manifest_yaml(manifest)), kind=DatasetError)

@@ -85,10 +85,12 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
         with new_folder(folder, overwrite=overwrite) as temporary:
             _fill(source, temporary, report)
     except DatasetError as error:
-        hidden = f"{stage_of(folder.resolve())}" in str(error)
-        if hidden and isinstance(error.__cause__, OSError):  # the hint is how synth goes on
+        hidden = str(stage_of(folder.resolve()) / "new")
+        if hidden not in str(error):
+            raise
+        if isinstance(error.__cause__, OSError):  # the hint is how synth goes on
             raise unwritable(folder, error.__cause__, DatasetError) from error.__cause__
-        raise
+        raise DatasetError(str(error).replace(hidden, str(folder)), hint=error.hint) from error
     return folder
 
 

@@ -6,6 +6,7 @@ modules of this package, so that `--help` is quick; `run` imports what the work 
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import warnings
@@ -89,15 +90,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 done with a problem, 2 a mistake that the user can mend, 130 interrupted, 143 asked to end.
     """
     import cabinpose
-    from cabinpose.core import FULL_DISK, CabinposeError, check_output, is_refused, unwritable
+    from cabinpose.core import FULL_DISK, CabinposeError, check_output, is_refused
 
-    _open_stdout()
-
+    closed = _open_stdout()
     arguments = list(sys.argv[1:] if argv is None else argv)
     verb, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])
     try:
         if verb in ("-h", "--help", "--version"):
-            print(cabinpose.__version__ if verb == "--version" else _help())
+            print(cabinpose.__version__ if verb == "--version" else _help(), flush=True)
             return 0
         if verb not in VERBS:
             close = get_close_matches(verb, VERBS, n=1)
@@ -142,14 +142,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout has gone, for example `head`
         _silence()
     except OSError as error:
-        if error.filename is None and (error.errno in FULL_DISK or _stdout_refuses()):
+        refused = error.errno in FULL_DISK or (closed and error.errno == errno.EBADF)
+        if error.filename is None and (refused or _stdout_refuses()):
             _silence()
             print(f"error: cannot write to standard output: {error.strerror}", file=sys.stderr)
             return 1
         if not is_refused(error) or error.filename is None:
             raise
-        told = unwritable(Path(error.filename), error)
-        print(f"error: {printable(told)}\nhint: {told.hint}", file=sys.stderr)
+        print(f"error: cannot read or write {printable(error.filename)}: {error.strerror}", file=sys.stderr)
+        print("hint: check what you may do there, and the space of the disk", file=sys.stderr)
         return 2
     return 0
 
@@ -167,13 +168,15 @@ def _silence() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _open_stdout() -> None:
-    """A closed stdout is one that refuses: no file that is opened later may get its number."""
-    if sys.stdout is None:
+def _open_stdout() -> bool:
+    """Whether stdout is closed; it becomes one that refuses, as no file that is opened later may get its number."""
+    closed = sys.stdout is None
+    if closed:
         descriptor = os.open(os.devnull, os.O_RDONLY)
         if descriptor != 1:
             os.dup2(descriptor, 1)
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - it lives as long as the process
+    return closed
 
 
 def _print_warning(

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import DatasetArgument, PrintsJson, one_of, several
 from cabinpose.app.cli.output import print_json, print_rows, progress
-from cabinpose.core import ConfigError, write_whole
+from cabinpose.core import ConfigError, check_output, write_whole
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -100,6 +100,7 @@ def _write(text: str, file: Path | None) -> None:
     if file is None:
         print(text, end="")
         return
+    check_output(file, ConfigError, parents=False)
     if file.exists():
         raise ConfigError(f"{file} exists", hint="give another name; nothing is overwritten")
     write_whole(file, text, kind=ConfigError)

@@ -17,7 +17,7 @@ from cabinpose.app.cli.arguments import Maybe, RunsModels, several
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, check_output
 
 if TYPE_CHECKING:
     from cabinpose.app.live.feed import LiveFrame
@@ -78,6 +78,7 @@ def run(command: LiveCommand) -> int:
 
     _check(command)
     if command.predictions is not None:
+        check_output(command.predictions, parents=False)
         check_new_predictions(command.predictions, overwrite=command.overwrite)
     settings = parsed_settings(command.settings)
     feed = open_feed(command.source, settings, realtime=command.realtime, out=command.record)

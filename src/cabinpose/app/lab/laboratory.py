@@ -39,7 +39,7 @@ from cabinpose.app.lab.takes import (
     write_pair_take,
     write_pose_take,
 )
-from cabinpose.core import ConfigError, invert, write_whole
+from cabinpose.core import ConfigError, invert, make_folder, write_whole
 from cabinpose.store import read_mapping, validated
 
 
@@ -51,7 +51,7 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
     """
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError(f"{folder} is not empty", hint="give a new or empty folder with --out")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
 
     def drawn(*take: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(np.random.SeedSequence((plan.seed, *take))))

@@ -7,6 +7,8 @@ as 0, which C3D calls filled in or unknown.
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import struct
 import warnings
@@ -134,10 +136,13 @@ def write_c3d(
     _put_analogs(file, list(channels.values()), first_ns, rate, count, facts.get("analog", {}))
     _put_events(file, facts.get("events", {}))
     _put_groups(file, facts)
-    with new_file(path, overwrite=overwrite, binary=True) as out, TemporaryDirectory(dir=path.parent, prefix=".c3d-") as folder:
+    with new_file(path, overwrite=overwrite, binary=True) as out, TemporaryDirectory(dir=Path(out.name).parent) as folder:
         made = Path(folder) / "made.c3d"  # the library wants this ending
         file.write(str(made))
-        check_size(made)  # a full disk is no error to the library
+        try:
+            check_size(made)
+        except MocapError as error:  # a full disk is none to the library
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
         with made.open("rb") as source:
             header = bytearray(source.read(_BLOCK))
             # The library leaves the header's scale at -1, whatever the parameter says.

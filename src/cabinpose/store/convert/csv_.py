@@ -21,7 +21,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from cabinpose.core import RecordingError
+from cabinpose.core import RecordingError, make_folder
 from cabinpose.signals import ARRAYS, TOPICS, Channels, Facts, Markers, Message, Sample, ToFFrame
 from cabinpose.store.convert.format import NoOptions, RecordingFormat
 from cabinpose.store.convert.rows import new_file
@@ -59,10 +59,7 @@ def write_csv(folder: Path, samples: Iterable[tuple[str, Sample]], *, overwrite:
             f"{folder} is not empty", hint="--overwrite replaces tables in it, or give another folder with --out"
         )
     new = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordingError(f"cannot write to {folder}: {error.strerror}", hint="give another folder") from error
+    make_folder(folder, RecordingError)
     try:
         with ExitStack() as files:
             tables = _Tables(folder, files, overwrite)
