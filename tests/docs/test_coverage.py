@@ -1,4 +1,4 @@
-"""docs/coverage.md: the commands that it names parse, their flags are theirs, and the tests that it names exist."""
+"""docs/coverage.md and the other pages: the commands that they name parse, their flags are theirs; the tests named exist."""
 
 from __future__ import annotations
 
@@ -62,6 +62,42 @@ def test_a_command_parses_and_has_its_flags(command: str) -> None:
     assert [flag for flag in flags if not re.search(rf"(?<![\w-]){flag}(?![\w-])", text)] == []
 
 
+OLD = "docs/upgrading.md"  # has the spellings of before
+CONSOLE = re.compile(r"^```console[^\n]*\n(.*?)^```", re.M | re.S)
+
+
+def named_commands(text: str) -> list[str]:
+    """What stands behind `cabinpose` in the consoles of a page, and between its backticks where it has flags."""
+    consoles = [re.sub(r"\\\n\s*", " ", block) for block in CONSOLE.findall(text)]
+    typed = re.findall(r"^\$ cabinpose ([^#|>&\n]+)", "\n".join(consoles), re.M)
+    told = re.findall(r"`(?:cabinpose )?([a-z][\w-]*(?: [^`]*)? --[^`]+)`", CONSOLE.sub("", text))
+    told = [" ".join(re.sub(r"[|…]", " ", words).split()) for words in told]
+    return [words for words in (*typed, *told) if words.split()[0] in VERBS]
+
+
+def wrong_flags(text: str) -> list[str]:
+    """The commands of a page of which a flag is none; but for those of a FORMAT, and of the format that extending.md adds."""
+    wrong = []
+    for command in named_commands(text):
+        verb, flags = spoken(command)
+        if len(verb) > 1 and (verb[1].isupper() or verb[1] == "joints"):
+            continue
+        known = help_of(verb)
+        names = (flag.partition("=")[0] for flag in flags)
+        if any(not re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", known) for name in names):
+            wrong.append(command)
+    return wrong
+
+
+def test_commands_of_all_pages_have_their_flags() -> None:
+    pages = [
+        path for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")) if path != ROOT / OLD and path.name != "CHANGELOG.md"
+    ]
+    texts = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in pages}
+    assert sum(len(named_commands(text)) for text in texts.values()) > 200
+    assert {page: found for page, text in texts.items() if (found := wrong_flags(text))} == {}
+
+
 def test_tests_exist() -> None:
     assert len(TEST.findall(PAGE)) > 40
     assert wrong_tests(PAGE) == []
@@ -94,5 +130,9 @@ def test_the_checks_find_what_is_wrong() -> None:
     assert spoken("synth --config docs/examples/s25k.yaml") == (("synth",), ["--config"])
     with pytest.raises(AssertionError):
         help_of(("no-such-verb",))
+    assert named_commands("`export --format coco` `--out`\n```console\n$ cabinpose view a \\\n  --new  # as\n```\n") == [
+        "view a  --new  ", "export --format coco"
+    ]  # fmt: skip
+    assert wrong_flags("`cabinpose view FOLDER --frames 3` `view FOLDER --new`") == ["view FOLDER --new"]
     assert wrong_tests("`tests/docs/test_coverage.py::test_nothing`") == ["tests/docs/test_coverage.py::test_nothing"]
     assert wrong_tests("`tests/docs/test_coverage.py::test_tests_exist`") == []
