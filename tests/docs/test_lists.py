@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 from cabinpose.app.cli import VERBS
+from cabinpose.core import CABINPOSE
 from cabinpose.estimate import METHODS
 from cabinpose.record.sources import SOURCES
 from cabinpose.scene.sensor import SENSORS
@@ -53,6 +54,17 @@ def test_every_sensor_and_method_has_its_row() -> None:
     sensors = set(column(page("docs/sensor-model.md"), "name | pixels"))
     assert sensors | {"pico_monstar_105"} == set(SENSORS.names(own=True))  # which stands below the table
     assert set(METHODS.names(own=True)) <= set(column(page("docs/methods.md"), "method |"))
+
+
+def test_the_reach_of_a_joint_is_the_models() -> None:
+    text = page("docs/visibility.md")
+    rows = [
+        line.strip("| ").split(" | ") for line in text[text.index("| joint | own labels") :].split("\n\n")[0].splitlines()[2:]
+    ]
+    told = {row[0].partition(" (")[0]: float(row[2]) for row in rows}
+    sides = {name.removeprefix(side) if name[1:] in told else name: name for side in "lr" for name in CABINPOSE.reach_m}
+    assert told == {name: CABINPOSE.reach_m[joint] for name, joint in sides.items() if name in told}
+    assert len(told) == len({name[1:] if name[1:] in told else name for name in CABINPOSE.reach_m})
 
 
 def test_a_column_is_read() -> None:

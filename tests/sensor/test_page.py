@@ -1,0 +1,76 @@
+"""docs/sensor-model.md: its tables are what the sensors and their model give."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cabinpose.scene import MATERIAL_ID
+from cabinpose.scene.sensor import SENSORS, GeometryBuffers, PhysicalNoise, simulate
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SPEED_OF_LIGHT = 299_792_458.0
+*_, MONSTAR, OTHERS = (
+    table["rows"] for table in json.loads((DOCS / "figures" / "sensor-model.json").read_text("utf-8"))["tables"]
+)
+
+
+def sigma_mm(name: str, z_m: float, frames: int = 25) -> tuple[float, float]:
+    """Mean over a wall's image, and over its middle of 40 x 40 px, of each pixel's deviation over frames."""
+    sensor = SENSORS[name]
+    oblique = sensor.camera.scaled(2).range_over_depth
+    paint = np.full(oblique.shape, MATERIAL_ID["painted_wall"], np.uint8)
+    wall = GeometryBuffers.dense(2, np.full(oblique.shape, z_m, np.float32), (1 / oblique).astype(np.float32), paint)
+    noise = PhysicalNoise(range_window=False)
+    depth = np.stack(
+        [simulate(wall, sensor, noise, rng=np.random.Generator(np.random.Philox(key=(0, k)))).depth_m for k in range(frames)]
+    )
+    enough = np.isfinite(depth).mean(axis=0) >= 0.9
+    spread = 1e3 * np.nanstd(np.where(enough, depth, 0.0), axis=0, ddof=1)
+    middle = tuple(slice(n // 2 - 20, n // 2 + 20) for n in spread.shape)
+    return float(spread[enough].mean()), float(spread[middle][enough[middle]].mean())
+
+
+def test_presets_are_those_of_the_table() -> None:
+    text = (DOCS / "sensor-model.md").read_text("utf-8")
+    lines = text[text.index("| name | pixels") :].split("\n\n")[0].splitlines()[2:]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert {row[0].strip("`") for row in rows} == set(SENSORS.names(own=True)) - {"pico_monstar_105"}
+    for name, pixels, _, near_far, fps, integration_us, modulation, unambiguous in rows:
+        sensor = SENSORS[name.strip("`")]
+        if pixels != '"':
+            assert pixels == f"{sensor.camera.width}×{sensor.camera.height}"
+        assert tuple(map(float, near_far.split("–"))) == sensor.range_m
+        assert float(fps) == sensor.fps
+        if sensor.frequencies_hz:
+            assert float(integration_us) == pytest.approx(1e6 * sensor.integration_s)
+            assert tuple(map(float, modulation.split(", "))) == tuple(f / 1e6 for f in sensor.frequencies_hz)
+            common = np.gcd.reduce([round(f) for f in sensor.frequencies_hz])
+            assert float(unambiguous) == pytest.approx(SPEED_OF_LIGHT / (2 * common), abs=0.006)
+
+
+def test_the_monstars_noise_is_that_of_the_table() -> None:
+    distances, measured, whole, difference, centre = ([*row[1:]] for row in MONSTAR)
+    for z, law, of_image, off, of_middle in zip(distances, measured, whole, difference, centre, strict=True):
+        assert float(law) == pytest.approx(1 + 5 * float(z) + float(z) ** 2, abs=0.006)
+        image, middle = sigma_mm("pico_monstar_105/3", float(z))
+        assert float(of_image) == pytest.approx(image, rel=0.01)
+        assert float(of_middle) == pytest.approx(middle, rel=0.02)
+        told = float(re.sub(r"[ %]", "", off.replace("−", "-")))
+        assert told == pytest.approx(100 * (image / float(law) - 1), abs=0.6)
+
+
+@pytest.mark.slow
+def test_other_cameras_noise_is_that_of_the_table() -> None:
+    for name, *cells in OTHERS[1:]:
+        preset = name.replace("use case ", "pico_monstar_105/").strip("`")
+        for heading, cell in zip(OTHERS[0][1:], cells, strict=True):
+            if cell:
+                assert float(cell) == pytest.approx(sigma_mm(preset, float(heading.removesuffix(" m")))[1], rel=0.02), (
+                    name,
+                    heading,
+                )
