@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -74,6 +75,19 @@ def test_the_driver_of_a_right_hand_drive_is_known_where_it_is_said() -> None:
     of_file.model.drive_side = "right"
     assert driver_depth(of_file, right) == [pytest.approx(DRIVER_M)]
     assert driver_depth(of_file, left | {"drive_side": np.array(["left"])}) == [pytest.approx(DRIVER_M)]  # frames before the file
+
+
+def test_a_side_that_nothing_says_is_told_once() -> None:
+    left, told = frames(120, 50), predictor()
+    with pytest.warns(UserWarning, match="takes it to be on the left. Say it with --drive-side left or right"):
+        driver_depth(told, left)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        driver_depth(told, left)
+        driver_depth(predictor(), left | {"drive_side": np.array([""])})  # which has no wheel
+        of_file = predictor()
+        of_file.model.drive_side = "right"
+        driver_depth(of_file, left)
 
 
 def test_frames_of_both_kinds_go_together() -> None:

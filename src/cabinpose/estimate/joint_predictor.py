@@ -25,7 +25,7 @@ _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 class JointPredictor:
     """A trained model of joints, whatever its file holds; fulfils `core.ports.Predictor`."""
 
-    _warned_of_light = False
+    _warned_of_light = _warned_of_side = False
 
     def __init__(self, model: TrainedModel) -> None:
         """model: of a method whose task is joints."""
@@ -56,6 +56,14 @@ class JointPredictor:
         """(N,) whether the wheel is on the other side than in the cars that the model has learnt from."""
         if not self.seats_by_place:
             return np.zeros(count, np.bool_)
+        said = self.drive_side or self.model.drive_side or "drive_side" in frames
+        if not said and not self._warned_of_side and {"driver", "front_passenger"} & set(self.persons):
+            self._warned_of_side = True
+            warnings.warn(
+                f"nothing says where the wheel is: {self.name} tells seats by place and takes it to be on the"
+                f" {self.config.drive_side}. Say it with --drive-side left or right, or in a dataset (`drive_side`)",
+                stacklevel=2,
+            )
         told = np.full(count, self.drive_side) if self.drive_side or "drive_side" not in frames else frames["drive_side"][which]
         known = np.where(told == "", self.model.drive_side, told)
         return np.asarray((known != "") & (known != self.config.drive_side))
