@@ -18,7 +18,7 @@ from recorded_things import MESSAGES, SAMPLES, bits, take_samples, tof_frame
 
 from cabinpose.core.errors import RecordingError
 from cabinpose.signals.recorded import Channels, Facts, Markers, Message, Sample, SegmentPoses
-from cabinpose.store.recording import Chunking, Participant, Recording, RecordingWriter, SourceStatus, Take, recover
+from cabinpose.store.recording import Chunking, Participant, Recording, RecordingWriter, SourceStatus, Take, recover, survey
 
 TAKE = Take(action="reach", car="sedan", subjects=(Participant(code="S07", seat="driver", consent="C-12"),))
 NOW = 1_700_000_000_000_000_000
@@ -164,10 +164,20 @@ def test_json_fits_its_schema(tmp_path: Path) -> None:
             assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
             described, value = json.loads(schema.data), json.loads(message.data)
             assert described["type"] == "object"
-            assert list(described["properties"]) == described["required"] == list(value)
+            assert described["required"] == list(value)
+            assert set(described["properties"]) - set(value) == ({"drive_side"} if channel.topic == "take" else set())
             if channel.topic == "optical/markers":
                 assert value["position_m"] == [[None, None, None]]
                 assert value["residual_m"] == ["Infinity"]
+
+
+def test_a_take_that_knows_the_side_of_its_wheel_says_it_in_both_places(tmp_path: Path) -> None:
+    path, take = tmp_path / "a.mcap", Take(car="suv", drive_side="right")
+    RecordingWriter(path, take).close()
+    assert survey(path).take == take
+    with path.open("rb") as file:
+        ((_, _, message),) = make_reader(file).iter_messages(topics=["take"])
+    assert json.loads(message.data)["drive_side"] == "right"
 
 
 def test_the_raw_bytes_come_first(tmp_path: Path) -> None:

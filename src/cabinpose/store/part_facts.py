@@ -19,7 +19,7 @@ _Count = Annotated[int, Field(ge=0)]
 class PartFacts(BaseModel):
     """The attributes of a part's `zarr.json` that readers use. checksum: None where the part was written before there was one."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, defer_build=True)
 
     first_frame: _Count
     frames: _Count

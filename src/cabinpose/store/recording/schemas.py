@@ -145,8 +145,9 @@ JSON_SCHEMAS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "cabinpose.Take": _object(
             "cabinpose.Take", "Who did what, where; codes only, no personal names.",
             action=_text("what is done"), car=_text("the car or mock-up"),
+            drive_side=_text("side of the wheel, left or right; left out where it is not known"),
             subjects={"type": "array", "items": {"type": "object"}, "description": "code, seat, consent of each"},
-        ),
+        ) | {"required": ["action", "car", "subjects"]},
     }
 )  # fmt: skip
 

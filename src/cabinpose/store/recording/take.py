@@ -54,7 +54,9 @@ class Take(_Model):
 
     action: Words = Field("", description="What is done, as a short word: reach, drive.")
     car: Words = Field("", description="The car or mock-up.")
-    drive_side: DriveSide | None = Field(None, description="Side of the wheel in the car; left out where it is not known.")
+    drive_side: DriveSide | None = Field(
+        None, exclude_if=lambda side: side is None, description="Side of the wheel in the car; left out where it is not known."
+    )
     subjects: tuple[Participant, ...] = Field((), description="The people recorded.")
 
     @field_validator("subjects")
