@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 from cabinpose.app.cli import VERBS
+from cabinpose.app.cli.interrupt import Ended, interruptions
 
 Run = Callable[..., Any]
 
@@ -88,3 +90,20 @@ def test_a_standard_output_that_is_full_or_closed(verb: str) -> None:
     assert (done.returncode, done.stderr) == (1, f"error: cannot write to standard output: {os.strerror(28)}\n")
     closed = subprocess.run(start, preexec_fn=lambda: os.close(1), stderr=subprocess.PIPE, text=True, check=False)
     assert (closed.returncode, closed.stderr) == (1, f"error: cannot write to standard output: {os.strerror(9)}\n")
+
+
+@pytest.mark.parametrize(("kind", "becomes"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Ended)])
+def test_what_a_library_makes_of_an_interrupt(kind: signal.Signals, becomes: type[BaseException]) -> None:
+    """An extension module that is interrupted while it is loaded is an ImportError."""
+    raised: list[type[BaseException]] = []
+    try:
+        with interruptions():
+            try:
+                os.kill(os.getpid(), kind)
+            except KeyboardInterrupt:
+                raise ImportError("initialization failed") from None
+    except BaseException as error:  # noqa: BLE001 - pytest.raises lets a KeyboardInterrupt of another kind through
+        raised.append(type(error))
+    assert raised == [becomes]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

@@ -89,40 +89,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         The exit code: 0 done, 1 done with a problem, 2 a mistake that the user can mend, 130 interrupted, 143 asked to end.
     """
-    import cabinpose
-    from cabinpose.core import FULL_DISK, CabinposeError, check_output, is_refused
+    from cabinpose.core import FULL_DISK, CabinposeError, is_refused
 
     closed = _open_stdout()
     arguments = list(sys.argv[1:] if argv is None else argv)
     verb, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])
     try:
-        if verb in ("-h", "--help", "--version"):
-            print(cabinpose.__version__ if verb == "--version" else _help(), flush=True)
-            return 0
-        if verb not in VERBS:
-            close = get_close_matches(verb, VERBS, n=1)
-            did_you_mean = f"did you mean {close[0]}? " if close else ""
-            raise CabinposeError(f"there is no command '{verb}'", hint=f"{did_you_mean}`cabinpose --help` lists them")
-        if verb in _OF_DATASETS and any(word == "--data" or word.startswith("--data=") for word in rest):
-            raise CabinposeError("there is no flag --data", hint=f"the dataset follows the verb: cabinpose {verb} DATASET")
-
-        from cabinpose.app.cli.commands import parsed
-
-        module = verb_module(verb)
-        with interruptions(), warnings.catch_warnings():
-            warnings.showwarning = _print_warning
-            TOLD.clear()
-            words = module.modernised(rest) if hasattr(module, "modernised") else rest
-            flags = [word.partition("=")[0] for word in words if word.startswith("--")]
-            if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
-                raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
-            command = parsed(verb, module.COMMAND, words, _summary(verb))
-            for name in ("out", "report"):  # before the work, which would be lost
-                if isinstance(path := getattr(command, name, None), Path):
-                    check_output(path)
-            code: int | None = module.run(command)
-            sys.stdout.flush()
-            return code or 0
+        with interruptions():
+            return _done(verb, rest)
     except CabinposeError as error:
         print(f"error: {printable(error)}", file=sys.stderr)
         if error.hint:
@@ -153,6 +127,40 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("hint: check what you may do there, and the space of the disk", file=sys.stderr)
         return 2
     return 0
+
+
+def _done(verb: str, rest: list[str]) -> int:
+    """Run a command that ends without an exception; its exit code."""
+    import cabinpose
+    from cabinpose.core import CabinposeError, check_output
+
+    if verb in ("-h", "--help", "--version"):
+        print(cabinpose.__version__ if verb == "--version" else _help(), flush=True)
+        return 0
+    if verb not in VERBS:
+        close = get_close_matches(verb, VERBS, n=1)
+        did_you_mean = f"did you mean {close[0]}? " if close else ""
+        raise CabinposeError(f"there is no command '{verb}'", hint=f"{did_you_mean}`cabinpose --help` lists them")
+    if verb in _OF_DATASETS and any(word == "--data" or word.startswith("--data=") for word in rest):
+        raise CabinposeError("there is no flag --data", hint=f"the dataset follows the verb: cabinpose {verb} DATASET")
+
+    from cabinpose.app.cli.commands import parsed
+
+    module = verb_module(verb)
+    with warnings.catch_warnings():
+        warnings.showwarning = _print_warning
+        TOLD.clear()
+        words = module.modernised(rest) if hasattr(module, "modernised") else rest
+        flags = [word.partition("=")[0] for word in words if word.startswith("--")]
+        if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
+            raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
+        command = parsed(verb, module.COMMAND, words, _summary(verb))
+        for name in ("out", "report"):  # before the work, which would be lost
+            if isinstance(path := getattr(command, name, None), Path):
+                check_output(path)
+        code: int | None = module.run(command)
+        sys.stdout.flush()
+        return code or 0
 
 
 def _stdout_refuses() -> bool:

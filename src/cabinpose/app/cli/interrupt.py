@@ -34,20 +34,28 @@ class Ended(KeyboardInterrupt):
 
 @contextmanager
 def interruptions() -> Iterator[None]:
-    """SIGTERM is an exception within the block, so that work ends as after Ctrl-C; processes begun within end at once by it."""
-    mine = os.getpid()
+    """SIGTERM is an exception within the block, as Ctrl-C is, and what a library makes of either is that exception again.
 
-    def end(*_: object) -> None:
-        if os.getpid() != mine:
+    Processes begun within end at once by SIGTERM.
+    """
+    mine, asked = os.getpid(), list[type[KeyboardInterrupt]]()
+
+    def end(kind: int, _: object) -> None:
+        if kind == signal.SIGTERM and os.getpid() != mine:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             os.kill(os.getpid(), signal.SIGTERM)
-        raise Ended
+        asked.append(Ended if kind == signal.SIGTERM else KeyboardInterrupt)
+        raise asked[-1]
 
-    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
-        with _handled((signal.SIGTERM,), end):
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    main = threading.current_thread() is threading.main_thread()
+    with _handled([kind for kind, handler in usual.items() if main and signal.getsignal(kind) == handler], end):
+        try:
             yield
-    else:
-        yield
+        except Exception as error:
+            if asked:  # as an extension module that is interrupted while it is loaded
+                raise asked[-1] from error
+            raise
 
 
 @contextmanager
