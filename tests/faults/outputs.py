@@ -1,0 +1,421 @@
+"""Every command that writes, and what may go wrong while it does: kills, refusals of the disk, signals, a second writer.
+
+    python tests/faults/outputs.py                       # all commands and faults
+    python tests/faults/outputs.py --most 8 view import-coco
+
+prints a table of what came of them. Commands run in children of a process that has `shim.c` preloaded, which counts the system
+calls that change what lies under the folder of outputs; `--most` bounds how many calls of a command are tried with each fault.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import importlib
+import json
+import mmap
+import os
+import pkgutil
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cabinpose
+from cabinpose.core import CabinposeError, left_before
+
+HERE = Path(__file__).parent
+sys.path += [str(HERE.parent / room) for room in ("cli", "store", "estimate", "record", "cabin")]
+NOTHING, KILL, FULL, READ_ONLY, INT, TERM, STOP = range(7)  # as in shim.c
+FAULTS = {"kill": KILL, "full disk": FULL, "read-only": READ_ONLY, "Ctrl-C": INT, "SIGTERM": TERM}
+CODES = {KILL: -signal.SIGKILL, FULL: 2, READ_ONLY: 2, INT: 130, TERM: 143}
+LIMIT_S = 300
+Tree = dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class Command:
+    """One way to write an output: `{inputs}` and `{out}` in its words are folders."""
+
+    words: str
+    out: str  # in the folder of outputs
+    again: str = "--overwrite"  # what the same command is given where something is there; "": it refuses
+    whole: bool = True  # a folder that is there as a whole or not at all; else each file of it is
+    grows: bool = False  # a recording, which is in its file as it comes; `recover` makes a cut one whole
+    varies: tuple[str, ...] = ()  # ends of names of files whose bytes differ between runs, as of times in them
+
+
+_TRAIN = "train {inputs}/dataset --splits {inputs}/splits.yaml --out {out}/t"
+COMMANDS: Mapping[str, Command] = {
+    "synth": Command(
+        "synth scene.cars=[sedan] output.frames_per_part=1 --frames 2 --workers 1 --out {out}/d", "d", "--resume", whole=False
+    ),
+    "config-init": Command("config init {out}/c.yaml", "c.yaml", ""),
+    "car-init": Command("car init {inputs}/suv.glb --out {out}/suv.yaml", "suv.yaml"),
+    "view": Command("view {inputs}/dataset --rows 2 --frames 2 --out {out}/v", "v", whole=False),
+    "view-recording": Command("view {inputs}/take.mcap --rows 2 --frames 2 --out {out}/v", "v", whole=False),
+    **{
+        f"export-{name}": Command(f"export {name} {{inputs}}/alone --out {{out}}/e", "e")
+        for name in ("png-json", "coco", "yolo", "itop", "ntu", "ply")
+    },
+    "export-bvh": Command("export bvh {inputs}/take.mcap --subject S07 --out {out}/e.bvh", "e.bvh"),
+    "export-c3d": Command("export c3d {inputs}/take.mcap --source optical --out {out}/e.c3d", "e.c3d"),
+    "export-csv": Command("export csv {inputs}/take.mcap --out {out}/e", "e", whole=False),
+    "export-onnx": Command("export onnx {inputs}/run/best.ckpt --out {out}/m.onnx", "m.onnx"),
+    "import-coco": Command("import coco {inputs}/coco.json --out {out}/d", "d"),
+    "import-itop": Command("import itop {inputs}/itop --out {out}/d", "d"),
+    "import-bvh": Command("import bvh {inputs}/motion.bvh --unit-m 0.01 --out {out}/r.mcap", "r.mcap", varies=(".mcap",)),
+    "train": Command(f"{_TRAIN} --config {{inputs}}/run.yaml --devices 1", "t", "--resume", whole=False, varies=("",)),
+    "train-arrays": Command(f"{_TRAIN} --method walks --config {{inputs}}/walks.yaml", "t", "", whole=False, varies=("",)),
+    "calibrate-confidence": Command(
+        "calibrate-confidence {inputs}/other --model {inputs}/m.onnx --presence 0 --out {out}/m.onnx", "m.onnx"
+    ),
+    "predict": Command("predict {inputs}/dataset --model {inputs}/m.onnx --out {out}/p.jsonl", "p.jsonl"),
+    "evaluate": Command("evaluate {inputs}/dataset --predictions {inputs}/p.jsonl --out {out}/r", "r", whole=False),
+    "record": Command("record --config {inputs}/rig.yaml --out {out}/r.mcap", "r.mcap", "", grows=True),
+    "recover": Command("recover {inputs}/cut.mcap --out {out}/r.mcap", "r.mcap", ""),
+    "lab": Command(
+        "lab --views 6 --frames-per-view 1 --pendulum-s 6 --seconds 1.5 --no-exercises --out {out}/s", "s", "", whole=False,
+        varies=("",),
+    ),
+    "calibrate": Command("calibrate {inputs}/session/session.yaml --out {out}/c.yaml", "c.yaml", varies=("",)),
+    "calibrate-noise": Command(
+        "calibrate-noise {inputs}/wall-0.mcap {inputs}/wall-1.mcap {inputs}/wall-2.mcap --distances 0.8 1.2 1.6 --out {out}/n",
+        "n", whole=False,
+    ),
+    "align": Command("align {inputs}/session/drive-S01.mcap --calibration {inputs}/c.yaml --out {out}/d", "d"),
+}  # fmt: skip
+SHARED = (  # commands that write to places of one kind
+    ("synth", "import-coco", "import-itop", "export-coco", "align"),
+    ("import-bvh", "recover"),
+    ("train",),
+    ("predict",),
+    ("export-onnx",),
+)
+_LAB = "lab --views 12 --frames-per-view 1 --pendulum-s 8 --seconds 3 --out {inputs}/session"
+_INPUTS = (
+    "train {inputs}/dataset --splits {inputs}/splits.yaml --out {inputs}/run --config {inputs}/run.yaml --devices 1",
+    "export onnx {inputs}/run/best.ckpt --out {inputs}/m.onnx",
+    "predict {inputs}/dataset --model {inputs}/m.onnx --out {inputs}/p.jsonl",
+)
+_SESSION = (_LAB, "calibrate {inputs}/session/session.yaml --out {inputs}/c.yaml")
+
+
+def make_inputs(folder: Path, session: bool) -> None:
+    """What the commands read; `session`: with a session of the laboratory, which takes longest."""
+    import numpy as np
+    import small
+    import sphere_people
+    import yaml
+    from car_meshes import write_car
+    from recorded_things import take_samples
+    from test_calibrate_noise import record
+    from test_exchange import MAKE, recording
+    from test_import import coco_file, itop_folder
+
+    from cabinpose.scene.cabin import build_cabin
+    from cabinpose.store.recording import Chunking, Participant, RecordingWriter, Take
+
+    folder.mkdir()
+    sphere_people.write(folder / "dataset", sphere_people.manifest(frames=6, frames_per_part=3))
+    sphere_people.write(folder / "alone", sphere_people.manifest(frames=3, frames_per_part=3, persons=("driver",)))
+    sphere_people.write(folder / "other", sphere_people.manifest(frames=300, frames_per_part=300, seed=8))
+    coco_file(folder / "coco.json")
+    itop_folder(folder / "itop")
+    recording(folder / "take.mcap")
+    MAKE["bvh"](folder / "motion.bvh")
+    for index, distance in enumerate((0.8, 1.2, 1.6)):
+        record(folder / f"wall-{index}.mcap", distance, count=30)
+    with RecordingWriter(folder / "cut.mcap", Take(subjects=(Participant(code="S07"),)), chunking=Chunking(sync_s=0)) as writer:
+        for source, sample in take_samples(12, rng=np.random.default_rng(3)):
+            writer.write(source, sample)
+    os.truncate(folder / "cut.mcap", int((folder / "cut.mcap").stat().st_size * 0.7))
+    (folder / "rig.yaml").write_text(yaml.safe_dump({"sources": {"suit": {"kind": "numbered", "rate_hz": 400, "samples": 40}}}))
+    settings = json.loads(json.dumps(small.TINY["compact"]))
+    (folder / "run.yaml").write_text(yaml.safe_dump({"settings": settings, "epochs": 2, "batch": 4}))
+    tiny = {"width": 64, "height": 48, "samples": 10, "features": 10, "depth": 3, "leaf_samples": 5, "slots": ["driver"]}
+    (folder / "walks.yaml").write_text(yaml.safe_dump({"settings": tiny}))
+    (folder / "splits.yaml").write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S04]}\n")
+    write_car(build_cabin("suv"), folder / "suv.glb", fused=True, factor=100.0)
+    for words in (*_INPUTS, *(_SESSION if session else ())):
+        done = run(words.format(inputs=folder), folder)
+        if done.code != 0:
+            raise SystemExit(f"{words}: {done.said}")
+
+
+# ---------------------------------------------------------------------------------------------------- one run of a command
+
+
+class Shim:
+    """The preloaded library, and the count that it shares with the children."""
+
+    def __init__(self) -> None:
+        self._library = ctypes.CDLL(None)
+        self._memory = mmap.mmap(-1, 8)
+        self.count = ctypes.c_long.from_buffer(self._memory)
+
+    def arm(self, under: Path, fault: int, at: int) -> None:
+        """Have the `at`-th call under a folder go wrong, in this process."""
+        self._library.shim_arm(os.fsencode(under), ctypes.c_long(at), fault, ctypes.byref(self.count))
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a command's run has left: its exit code (or -signal), what it said on stderr, the calls that were counted."""
+
+    code: int
+    said: str
+    calls: int
+
+
+SHIM: Shim
+
+
+def start(words: str, under: Path, fault: int, at: int, said: Path) -> int:
+    """Run a command in a child with a fault at a call; its process id."""
+    SHIM.count.value = 0
+    child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        out = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        os.dup2(out, 2)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        signal.alarm(LIMIT_S)
+        SHIM.arm(under, fault, at)
+        from cabinpose.app.cli import main
+
+        code = int(main(shlex.split(words)) or 0)
+        SHIM.arm(under, NOTHING, 0)
+    except SystemExit as left:
+        code = int(left.code or 0)
+    except BaseException:  # noqa: BLE001 - as the interpreter does
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def run(words: str, under: Path, fault: int = NOTHING, at: int = 0) -> Run:
+    """Run a command to its end."""
+    with TemporaryDirectory() as folder:
+        said = Path(folder) / "said"
+        child = start(words, under, fault, at, said)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        return Run(code, said.read_text(errors="replace") if said.exists() else "", SHIM.count.value)
+
+
+def tree(path: Path) -> Tree:
+    """The files at a path by their names, but for hidden ones."""
+    if path.is_file():
+        return {"": path.read_bytes()}
+    names = (file.relative_to(path) for file in sorted(path.rglob("*")) if file.is_file())
+    return {str(name): (path / name).read_bytes() for name in names if not any(part.startswith(".") for part in name.parts)}
+
+
+def left(folder: Path, *, empty: bool = True) -> list[str]:
+    """The hidden files and folders that a run has left; empty ones as well?"""
+    hidden = (path for path in folder.rglob("*") if path.name.startswith("."))
+    return sorted(str(path.relative_to(folder)) for path in hidden if empty or path.is_file() or any(path.iterdir()))
+
+
+# ------------------------------------------------------------------------------------------------------ what came of a fault
+
+
+class Trial:
+    """A command with its inputs, its outcome without a fault, and how a fault's outcome differs from what is promised."""
+
+    def __init__(self, command: Command, inputs: Path, work: Path) -> None:
+        self.command, self.inputs, self.out = command, inputs, work / "out"
+        self.words = command.words.format(inputs=inputs, out=self.out)
+        self.place = self.out / command.out
+        self._fresh()
+        done = run(self.words, self.out)
+        if done.code != 0 or left(self.out):
+            raise RuntimeError(f"{self.words}: {done.code} {done.said} {left(self.out)}")
+        self.calls, self.sound = done.calls, tree(self.place)
+        self.first = work / "first"
+        shutil.rmtree(self.first, ignore_errors=True)
+        shutil.copytree(self.out, self.first)
+
+    def _fresh(self, old: bool = False) -> None:
+        shutil.rmtree(self.out, ignore_errors=True)
+        if old:
+            shutil.copytree(self.first, self.out)
+        else:
+            self.out.mkdir(parents=True)
+
+    def _differs(self, name: str, content: bytes) -> bool:
+        """Whether a file is neither as without a fault nor, where its bytes vary, whole."""
+        if any(name.endswith(end) for end in self.command.varies) or (not name and self.command.varies):
+            return not whole(f"{self.place}/{name}".rstrip("/"), content)
+        return self.sound.get(name) != content
+
+    def problems(self, fault: int, at: int, *, old: bool) -> Iterator[str]:
+        """What is not as promised when the `at`-th call goes wrong; `old`: where an earlier output is replaced."""
+        self._fresh(old)
+        again = f" {self.command.again}"
+        done = run(self.words + (again if old else ""), self.out, fault, at)
+        if done.code not in (0, CODES[fault]):
+            yield f"exit code {done.code}"
+        if "Traceback" in done.said:
+            yield "traceback"
+        if done.code == 2 and "hint:" not in done.said:
+            yield "no hint"
+        if done.code == 2 and not re.search("no space left|Read-only|cannot", done.said):
+            yield "wrong words"
+        if fault != KILL and done.code and (hidden := left(self.out)):
+            yield f"left {hidden[0]}"
+        found = tree(self.place)
+        if old and not found and (fault != KILL or left_before(self.place) is None):
+            yield "lost"
+        if not self.command.grows and any(self._differs(name, content) for name, content in found.items()):
+            yield "half a file"
+        if self.command.whole and found and found.keys() != self.sound.keys():
+            yield "half a folder"
+        if fault == KILL:
+            yield from self._again(bool(found) or old)
+
+    def _again(self, there: bool) -> Iterator[str]:
+        """What is not as promised of the same command after a kill: it ends, with the same outcome, and leaves nothing."""
+        there = there or self.place.exists()
+        if there and not self.command.again:
+            return
+        done = run(f"{self.words} {self.command.again if there else ''}", self.out)
+        if done.code != 0:
+            yield f"again: exit code {done.code} ({done.said.strip().splitlines()[:1]})"
+            return
+        found = {} if self.command.grows else tree(self.place)
+        if found and (found.keys() != self.sound.keys() or any(self._differs(*file) for file in found.items())):
+            yield "again: another outcome"
+        if hidden := left(self.out, empty=False):  # of an output that is not written again
+            yield f"again: left {hidden[0]}"
+
+
+def whole(name: str, content: bytes) -> bool:
+    """Whether a file's end is there, by its kind."""
+    if name.endswith(".mcap"):
+        return content.endswith(b"\x89MCAP0\r\n")
+    if name.endswith((".ckpt", ".npz")):
+        return b"PK\x05\x06" in content[-1024:]
+    if name.endswith(".png"):
+        return content.endswith(b"IEND\xaeB`\x82")
+    return content.endswith((b"\n", b"</html>"))
+
+
+def chosen(calls: int, most: int) -> list[int]:
+    """Numbers of calls, evenly over all of them, the first and the last among them."""
+    if calls <= most:
+        return list(range(1, calls + 1))
+    return sorted({round(1 + k * (calls - 1) / (most - 1)) for k in range(most)})
+
+
+def beside(first: Trial, second: Command) -> Iterator[str]:
+    """What is not as promised where a second command writes to the place of the first one, which is stopped in the middle."""
+    shutil.rmtree(first.out, ignore_errors=True)
+    first.out.mkdir()
+    words = second.words.replace(f"{{out}}/{second.out}", str(first.place)).format(inputs=first.inputs)
+    with TemporaryDirectory() as folder:
+        child = start(first.words, first.out, STOP, first.calls // 2, Path(folder) / "said")
+        if not os.WIFSTOPPED(os.waitpid(child, os.WUNTRACED)[1]):
+            yield "not stopped"
+            return
+        there = tree(first.out)
+        done = run(f"{words} {second.again}", first.out)
+        if done.code != 2 or "Traceback" in done.said or not re.search("another process is writing|holds a dataset", done.said):
+            yield f"the second: exit code {done.code}: {' '.join(done.said.split())[:100]}"
+        if tree(first.out) != there:
+            yield "the second changed something"
+        os.kill(child, signal.SIGCONT)
+        if (code := os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])) != 0:
+            yield f"the first: exit code {code}"
+    found = tree(first.place)
+    if found.keys() != first.sound.keys() or any(first._differs(name, content) for name, content in found.items()):
+        yield "the first: another outcome"
+
+
+def tried(name: str, trial: Trial, most: int, faults: Sequence[str]) -> dict[str, tuple[int, Counter[str]]]:
+    """For each fault the number of runs, and the problems that were found with how often."""
+    result = {}
+    for label in faults:
+        fault, problems, runs = FAULTS[label], Counter[str](), 0
+        for old in (False, True) if trial.command.again else (False,):
+            for at in (1,) if fault == READ_ONLY else chosen(trial.calls + 2 * old, most):
+                runs += 1
+                for problem in trial.problems(fault, at, old=old):
+                    problems[problem] += 1
+                    sys.stderr.write(f"{name}, {label} at call {at}{', replacing' if old else ''}: {problem}\n")
+        result[label] = runs, problems
+    return result
+
+
+def tell(*cells: str) -> None:
+    """Print a row of the table."""
+    sys.stdout.write(f"| {' | '.join(cells)} |\n")
+    sys.stdout.flush()
+
+
+def main() -> int:
+    """Try commands, and print a table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("commands", nargs="*")
+    parser.add_argument("--most", type=int, default=1000)
+    parser.add_argument("--faults", nargs="*", default=list(FAULTS))
+    parser.add_argument("--inputs", type=Path, help="a folder of inputs that an earlier run made, or is to make")
+    given = parser.parse_args()
+    names = given.commands or list(COMMANDS)
+    global SHIM
+    SHIM = Shim()
+    for module in pkgutil.walk_packages(cabinpose.__path__, "cabinpose."):  # once, for all children
+        if not module.name.endswith("__main__"):
+            with suppress(ImportError, CabinposeError):  # of an extra that is not installed
+                importlib.import_module(module.name)
+    failed = False
+    with TemporaryDirectory() as temporary:
+        inputs = given.inputs or Path(temporary) / "inputs"
+        if not inputs.exists():
+            make_inputs(inputs, session=bool({"calibrate", "align"} & set(names)))
+        tell("command", "calls", *given.faults, "s")
+        for name in names:
+            began = time.monotonic()
+            try:
+                trial = Trial(COMMANDS[name], inputs, Path(temporary) / "work")
+            except RuntimeError as error:
+                failed = True
+                sys.stderr.write(f"{error}\n")
+                continue
+            found = tried(name, trial, given.most, given.faults)
+            cells = (f"{runs}: " + (", ".join(f"{p} {n}" for p, n in bad.items()) or "held") for runs, bad in found.values())
+            tell(name, str(trial.calls), *cells, f"{time.monotonic() - began:.0f}")
+            failed |= any(bad for _, bad in found.values())
+        for first, second in ((a, b) for group in SHARED for a in group for b in group if {a, b} <= set(names)):
+            trial = Trial(COMMANDS[first], inputs, Path(temporary) / "work")
+            bad = list(beside(trial, COMMANDS[second]))
+            tell(f"{second} into what {first} writes", ", ".join(bad) or "held")
+            failed |= bool(bad)
+    return int(failed)
+
+
+def preloaded(words: Sequence[str], *, captured: bool = True) -> subprocess.CompletedProcess[str]:
+    """Run this module with the shim, which is built first."""
+    with TemporaryDirectory() as folder:
+        library = Path(folder) / "shim.so"
+        subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(HERE / "shim.c"), "-ldl"], check=True)
+        environment = os.environ | {"LD_PRELOAD": str(library), "CABINPOSE_SHIM": "1", "OMP_NUM_THREADS": "1"}
+        start = [sys.executable, __file__, *words]
+        return subprocess.run(start, env=environment, check=False, text=True, capture_output=captured)
+
+
+if __name__ == "__main__":
+    sys.exit(main() if "CABINPOSE_SHIM" in os.environ else preloaded(sys.argv[1:], captured=False).returncode)
