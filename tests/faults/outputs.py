@@ -371,7 +371,7 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*")
     parser.add_argument("--most", type=int, default=1000)
-    parser.add_argument("--faults", nargs="*", default=list(FAULTS))
+    parser.add_argument("--faults", nargs="*", choices=list(FAULTS), default=list(FAULTS))
     parser.add_argument("--inputs", type=Path, help="a folder of inputs that an earlier run made, or is to make")
     given = parser.parse_args()
     names = given.commands or list(COMMANDS)
