@@ -9,7 +9,7 @@ import pytest
 from fastapi import FastAPI
 from starlette.testclient import TestClient
 
-from cabinpose.app.studio.access import COOKIE, Guard
+from cabinpose.app.studio.access import COOKIE, Guard, in_address
 from cabinpose.app.studio.serve import serve
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core.errors import ConfigError
@@ -50,6 +50,26 @@ def test_token_is_needed_and_kept() -> None:
     assert COOKIE in answer.cookies
     assert "HttpOnly" in answer.headers["set-cookie"]
     assert studio.get("/").status_code == 200  # by the cookie
+
+
+@pytest.mark.parametrize("token", ["a+b", "a&token=b", "a#b", "a%20b", "a b", 'a;b,"c"', "Schlüssel", "密码"])
+def test_token_of_any_letters_is_accepted_and_kept(token: str) -> None:
+    studio = client(token, "studio.example")
+    assert studio.get(f"/?token={in_address(token)}").status_code == 200
+    assert studio.get("/").status_code == 200  # by the cookie
+    assert studio.get(f"/?token={in_address(token + '+')}").status_code == 403
+    assert client("a+b").get("/?token=a+b").status_code == 200  # as somebody types it
+
+
+@pytest.mark.parametrize("token", ["", " ", "two\nlines", "\udce4"])
+def test_token_that_no_browser_can_bring_is_refused(run: Callable[..., Any], token: str) -> None:
+    outcome = run("studio", "--token", token, "--port", 0)
+    assert outcome.code == 2
+    assert "hint: give letters and digits" in outcome.err
+
+
+def test_origin_that_is_none_is_refused() -> None:
+    assert client(None).get("/", headers={"origin": "http://[::1"}).status_code == 403
 
 
 def test_beyond_this_machine_only_with_a_token(run: Callable[..., Any]) -> None:

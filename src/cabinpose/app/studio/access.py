@@ -5,7 +5,7 @@ from __future__ import annotations
 import hmac
 from http.cookies import SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -18,8 +18,8 @@ class Guard:
     """Middleware that answers 403 to whoever may not look.
 
     Without a token, only requests to this machine by its own name pass: a page from elsewhere, which a name server points here,
-    carries another host, and a script of it another origin. With a token, it has to come once as `?token=`, and is then kept in a
-    cookie.
+    carries another host, and a script of it another origin. With a token, it has to come once as `?token=`, see `in_address`, and
+    is then kept in a cookie.
     """
 
     def __init__(self, app: ASGIApp, token: str | None) -> None:
@@ -31,7 +31,8 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+        query = scope.get("query_string", b"").decode("latin-1").replace("+", "%2B")  # a plus that somebody typed is no blank
+        given = parse_qs(query).get("token", [""])[0]
         if not self._allowed(headers, given):
             await _refuse(scope, send)
             return
@@ -40,7 +41,7 @@ class Guard:
             if message["type"] == "http.response.start":
                 message.setdefault("headers", []).append(_POLICY)
                 if self._token is not None and given:
-                    cookie = f"{COOKIE}={given}; HttpOnly; SameSite=Strict; Path=/".encode("latin-1")
+                    cookie = f"{COOKIE}={in_address(given)}; HttpOnly; SameSite=Strict; Path=/".encode()
                     message["headers"].append((b"set-cookie", cookie))
             await send(message)
 
@@ -49,13 +50,25 @@ class Guard:
     def _allowed(self, headers: dict[str, str], given: str) -> bool:
         host = headers.get("host", "")
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and _host_of(origin) != host:
             return False
         if self._token is None:
             return host.rsplit(":", 1)[0] in _LOOPBACK or host in _LOOPBACK
         kept = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-        known = given or (kept.value if kept is not None else "")
+        known = given or (unquote(kept.value) if kept is not None else "")
         return hmac.compare_digest(known.encode(), self._token.encode())
+
+
+def in_address(token: str) -> str:
+    """The token as it stands in an address or a cookie: ASCII, whatever its letters."""
+    return quote(token, safe="")
+
+
+def _host_of(origin: str) -> str | None:
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:  # half an IPv6 address
+        return None
 
 
 async def _refuse(scope: Scope, send: Send) -> None:

@@ -11,11 +11,11 @@ from nicegui import run, ui
 from cabinpose.app.label.labelling import Labelling, Shown
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.app.studio.exchange import Exchange
+from cabinpose.app.studio.exchange import Exchange, Passing
 from cabinpose.app.studio.models import choices, first_choice, frame_errors, load_choice, worst_first
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
-from cabinpose.app.studio.workspace import Workspace, depth_range
+from cabinpose.app.studio.workspace import depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
 from cabinpose.core import CabinposeError, Visibility, skeleton_with
 
@@ -40,8 +40,8 @@ _WORST = "worst:"  # and the name of predictions
 class LabelTab:
     """The tab of one browser."""
 
-    def __init__(self, workspace: Workspace, labelling: Labelling) -> None:
-        self._workspace, self._labelling = workspace, labelling
+    def __init__(self, page: Page, labelling: Labelling) -> None:
+        self._page, self._workspace, self._labelling = page, page.workspace, labelling
         self._dataset = labelling.dataset
         self._person = labelling.persons[0]
         self._chosen = 0
@@ -92,7 +92,7 @@ class LabelTab:
                 ).tooltip(key)
         with ui.row().classes("no-wrap w-full items-center"):
             self._saved = ui.label().style("font-size: 12px; opacity: .7; flex: 1")
-            Exchange(self._workspace, self._labelling, self._show)
+            Exchange(self._workspace, self._labelling, self._page.of_studio(Passing), self._show)
             ui.button(icon="history", on_click=self._history).props("flat round dense").tooltip("history of this frame")
         with ui.expansion("Keys", icon="keyboard").classes("w-full").props("dense"):
             for keys, what in _HELP:
@@ -340,7 +340,7 @@ def _build(page: Page) -> None:
     except CabinposeError as error:
         empty_state("The labels cannot be opened", str(error), error.hint or "")
         return
-    page.show_frame = LabelTab(workspace, labelling).show_frame
+    page.show_frame = LabelTab(page, labelling).show_frame
 
 
-TAB = Tab("Label", _build, of_dataset=True)
+TAB = Tab("Label", _build, of_dataset=True, shared=Passing)

@@ -8,11 +8,12 @@ import sys
 from collections.abc import Callable
 
 import uvicorn
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
+from fastapi.responses import PlainTextResponse
 from nicegui import app as nicegui_app
 from nicegui import ui
 
-from cabinpose.app.studio.access import Guard
+from cabinpose.app.studio.access import Guard, in_address
 from cabinpose.app.studio.clouds import cloud_routes
 from cabinpose.app.studio.page import shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
@@ -20,6 +21,7 @@ from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import ConfigError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+CONNECT_S = 30.0  # within which a browser that has loaded the page opens its WebSocket
 
 
 def serve(
@@ -28,14 +30,17 @@ def serve(
 ) -> None:  # fmt: skip
     """Serve until Ctrl-C. `ready` is given the address once it can be opened; port 0 takes a free one.
 
-    Raises ConfigError for an address beyond this machine without a token, and a port that is taken.
+    Raises ConfigError for an address beyond this machine without a token, a token that no browser can bring, and a port that is
+    taken.
     """
+    if token is not None and (not token.strip() or not token.isprintable()):
+        raise ConfigError("the token is empty, or has characters that cannot be printed", hint="give letters and digits")
     if host not in LOOPBACK and not token:
         raise ConfigError(
             f"{host} is open to other machines", hint="give --token, which their browsers then need, or leave out --host"
         )
     listening = _bound(host, port)
-    address = f"http://{host}:{listening.getsockname()[1]}/" + (f"?token={token}" if token else "")
+    address = f"http://{host}:{listening.getsockname()[1]}/" + (f"?token={in_address(token)}" if token else "")
     server = uvicorn.Server(uvicorn.Config(application(workspace, token), log_level="warning", ws_max_size=1 << 24))
     ready(address)
     sys.stdout.flush()
@@ -54,12 +59,25 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     for each in shared:
         app.include_router(each.routes())
         nicegui_app.on_shutdown(each.stop)
+
+    @ui.page("/")
+    async def page() -> None:
+        """Build the page once somebody looks at it: whoever loads it without a WebSocket leaves nothing behind."""
+        await ui.context.client.connected(timeout=CONNECT_S)
+        studio_page(workspace, shared)
+
+    nicegui_app.add_exception_handler(404, _not_found)
     ui.run_with(
-        app, root=lambda: studio_page(workspace, shared), title="cabinpose studio", dark=None, tailwind=False,
-        show_welcome_message=False, reconnect_timeout=10.0, storage_secret=secrets.token_hex(),
+        app, title="cabinpose studio", dark=None, tailwind=False, show_welcome_message=False, reconnect_timeout=10.0,
+        storage_secret=secrets.token_hex(),
     )  # fmt: skip
     app.add_middleware(Guard, token=token)
     return app
+
+
+def _not_found(request: Request, _: Exception) -> PlainTextResponse:
+    """Of a path that is none: no page, which NiceGUI's own answer would be."""
+    return PlainTextResponse(f"There is no {request.url.path} in this studio.\n", 404)
 
 
 def _bound(host: str, port: int) -> socket.socket:
