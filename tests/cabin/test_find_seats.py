@@ -39,7 +39,7 @@ def drafted(cabin: Cabin, folder: Path, *, fused: bool) -> tuple[Cabin, dict[str
 @pytest.mark.parametrize(
     ("name", "fused"),
     [
-        pytest.param(name, fused, marks=() if fused and name in ("sedan", "van") else pytest.mark.slow)
+        pytest.param(name, fused, marks=() if fused and name == "sedan" else pytest.mark.slow)
         for name in PRESETS
         if name != "shuttle"
         for fused in (True, False)
@@ -65,6 +65,7 @@ def test_right_hand_drive_is_told_by_the_wheel(tmp_path: Path) -> None:
     assert max(off[slot] for slot in FRONT) < TOLERANCE_M
 
 
+@pytest.mark.slow
 def test_facing_benches_are_found_without_a_wheel(tmp_path: Path) -> None:
     found, off = drafted(build_cabin("shuttle"), tmp_path, fused=True)
     assert found.steering_wheel is None
@@ -72,6 +73,7 @@ def test_facing_benches_are_found_without_a_wheel(tmp_path: Path) -> None:
     assert off["rear_center"] < TOLERANCE_M  # nobody can tell how many sit on a bench of 1.7 m, and where
 
 
+@pytest.mark.slow
 def test_a_car_that_looks_backward_is_turned(tmp_path: Path) -> None:
     surface = build_cabin("sedan").surface()
     turned = surface.vertices * (-1.0, -1.0, 1.0)

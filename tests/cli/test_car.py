@@ -176,6 +176,7 @@ def test_synth_and_config_check_warn_of_open_meshes(folder: Path, car: Path, tmp
         assert all(line.startswith("warning: ") for line in err.splitlines() if "edges are open" in line)
 
 
+@pytest.mark.slow
 def test_an_own_car_that_holds_nobody_points_to_the_check(car: Path, tmp_path: Path, run: Run) -> None:
     content = yaml.safe_load(car.read_text("utf-8"))
     for seat in content["seats"].values():

@@ -166,6 +166,7 @@ def test_config_init_is_the_default(run: Run, tmp_path: Path, scene: str) -> Non
     assert "exists" in err
 
 
+@pytest.mark.slow
 def test_config_check_counts_the_random_cars(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     for cars, said in (
@@ -330,6 +331,7 @@ def test_version_and_interrupt(run: Run, monkeypatch: pytest.MonkeyPatch, datase
     assert run("info", dataset_folder) == (130, "", "interrupted\n")
 
 
+@pytest.mark.slow
 def test_synth_says_why_hardly_any_pose_holds(run: Run, tmp_path: Path) -> None:
     """An upper arm that goes down through the chest, at every turn of it: no frame is found, and all are left out."""
     axes = {

@@ -157,7 +157,8 @@ def test_file_recording_file(run: Run, tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "file", "source"),
     [
-        ("mvnx", "mocap/xsens_upper_body.mvnx", "suit"), ("c3d", "mocap/vicon_two_subjects.c3d", "optical"),
+        ("mvnx", "mocap/xsens_upper_body.mvnx", "suit"),
+        pytest.param("c3d", "mocap/vicon_two_subjects.c3d", "optical", marks=pytest.mark.slow),
         ("bvh", "mocap/cmu_131_01.bvh", "motion"), ("azure-mkv", "tof/azure_kinect.mkv", "tof"),
     ],
 )  # fmt: skip

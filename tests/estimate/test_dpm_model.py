@@ -74,6 +74,7 @@ def test_people_it_has_not_seen_are_found_in_their_slots(frames: list[Kept], arr
     assert not empty.presence.any()
 
 
+@pytest.mark.slow
 def test_the_same_frames_and_seed_give_the_same_model(frames: list[Kept], arrays: Arrays) -> None:
     again = fit(DPM, frames[:12], quiet, seed=CONFIG.seed)
     assert all(np.array_equal(again[name], values, equal_nan=True) for name, values in arrays.items())

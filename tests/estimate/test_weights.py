@@ -70,7 +70,7 @@ def test_the_packaged_model_can_be_begun_with_in_another_view() -> None:
     torch.testing.assert_close(votes.joints, votes.earlier[-1], rtol=0, atol=0)  # a look that is new changes nothing
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("mirrored", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_halved_weights_are_the_nearest_of_half_precision(checkpoints: dict[str, Path], tmp_path: Path, mirrored: bool) -> None:
     paths = {half: tmp_path / f"{half}.onnx" for half in (False, True)}
     for half, path in paths.items():

@@ -90,8 +90,15 @@ def test_a_grid_sees_every_pixel_and_shares_its_area(dist: tuple[float, float, f
     assert np.abs((at - np.stack((u, v), axis=-1))[inner].mean(axis=0)).max() < 0.01
 
 
-@pytest.mark.parametrize("renderer", ["path_traced", "raster"])
-@pytest.mark.parametrize("dist", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
+@pytest.mark.parametrize(
+    ("dist", "renderer"),
+    [
+        (PINHOLE, "path_traced"),
+        (BARREL, "raster"),
+        *(pytest.param(*both, marks=pytest.mark.slow) for both in ((PINHOLE, "raster"), (BARREL, "path_traced"))),
+    ],
+    ids=["pinhole-path_traced", "barrel-raster", "pinhole-raster", "barrel-path_traced"],
+)
 def test_silhouettes_are_those_of_the_instance_image(
     dist: tuple[float, float, float, float, float], renderer: str, request: pytest.FixtureRequest
 ) -> None:

@@ -234,6 +234,7 @@ def _broad(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.real_data
+@pytest.mark.slow
 def test_broad_with_injected_offset_and_drift(real_data: Callable[[str], Path]):
     """Three trials, ±2 s with ±100 ppm: median errors within 1 ms and 5 ppm of what was injected on top of the files' lag."""
     offsets, drifts = [], []

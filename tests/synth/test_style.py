@@ -284,6 +284,7 @@ def test_what_would_leave_its_labels_stays_as_it_was(model: tuple[Path, StyleRep
     assert (data["style_part_mm"].values > 1e-9).all()  # of what was refused
 
 
+@pytest.mark.slow
 def test_an_optimised_frame_has_the_noise_of_the_style(plain: Path, style: Path) -> None:
     """In a crop of a frame with finer and more noise than the style's, σ and grain move towards the style's; the loss falls."""
     frame = open_dataset(plain).isel(frame=1)

@@ -103,6 +103,7 @@ def test_what_cannot_be_is_refused(scene: dict[str, object], message: str) -> No
     assert caught.value.hint
 
 
+@pytest.mark.slow
 def test_a_seat_that_cannot_hold_a_child_seat_is_named_with_what_is_in_the_way() -> None:
     short = {"preset": "city_car", "name": "short", "l50_mm": 640}
     sampler = SceneSampler(
