@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cabinpose.app.cli import main
 from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import DatasetError
@@ -101,6 +102,68 @@ def test_undo_takes_back_one_change_at_a_time(labelling: Labelling) -> None:
     assert {s.origin for s in labelling.shown(0, DRIVER)} == {"dataset"}
     assert not labelling.undo()
     assert [c.how for c in labelling.labels.history[-15:]].count("undone") == len(CABINPOSE.sets["upper body"])
+
+
+def test_undo_leaves_what_another_session_has_set_since(workspace: Workspace, labelling: Labelling) -> None:
+    """Whoever undoes gets back what is theirs, and is told what stays; their own later steps are not another's."""
+    other = Labelling(workspace.dataset, workspace.labels, "reviewer")
+    labelling.place(0, DRIVER, "head", 40.0, 41.0)
+    labelling.accept(0, DRIVER)
+    accepted, theirs = labelling.labels.get(0, DRIVER, "neck"), other.place(0, DRIVER, "neck", 50.0, 51.0)
+    count = len(CABINPOSE.sets["upper body"]) - 1
+    assert labelling.undo() == (count - 1, 1)
+    assert labelling.labels.get(0, DRIVER, "neck") == theirs
+    assert labelling.undo() == (1, 0)
+    assert list(labelling.labels.now) == [(0, DRIVER, "neck")]
+    other.undo()
+    assert labelling.labels.get(0, DRIVER, "neck") == accepted
+    labelling.place(0, DRIVER, "neck", 60.0, 61.0)
+    other.accept(0, DRIVER)
+    other.place(0, DRIVER, "neck", 70.0, 71.0)
+    lines = labelling.labels.path.read_text()
+    assert labelling.undo() == (0, 1)
+    assert labelling.labels.path.read_text() == lines
+
+
+@pytest.mark.parametrize("what", ["deleted", "renamed", "replaced", "written to"])
+def test_journal_that_is_another_one_takes_nothing(workspace: Workspace, labelling: Labelling, what: str) -> None:
+    labelling.place(0, DRIVER, "head", 40.0, 41.0)
+    path, aside = workspace.labels.path, workspace.labels.path.with_name("aside")
+    if what == "deleted":
+        path.unlink()
+    elif what == "renamed":
+        path.rename(aside)
+    elif what == "replaced":
+        path.rename(aside)
+        path.write_text("mine\n")
+    else:
+        with path.open("a") as file:
+            file.write("\n")
+    before = {file.name: file.read_bytes() for file in path.parent.glob("*") if file.is_file()}
+    for change in (lambda: labelling.place(0, DRIVER, "neck", 1.0, 1.0), lambda: labelling.accept(1, DRIVER), labelling.undo):
+        with pytest.raises(DatasetError, match="was"):
+            change()
+    assert {file.name: file.read_bytes() for file in path.parent.glob("*") if file.is_file()} == before
+    assert list(labelling.labels.now) == [(0, DRIVER, "head")]
+    if what in ("renamed", "replaced"):
+        aside.rename(path)
+        assert labelling.undo() == (1, 0)  # it is back
+
+
+@pytest.mark.parametrize("what", ["moved", "replaced"])
+def test_dataset_that_is_another_one_takes_nothing(workspace: Workspace, dataset_folder: Path, what: str) -> None:
+    assert workspace.dataset is not None
+    labelling = Labelling(workspace.dataset, workspace.labels, "annotator", workspace.new_frames)
+    labelling.place(0, DRIVER, "head", 40.0, 41.0)
+    lines = workspace.labels.path.read_text()
+    if what == "moved":
+        dataset_folder.rename(dataset_folder.with_name("elsewhere"))
+    else:
+        settings = ["scene.cars=[suv]", "output.frames_per_part=2"]
+        assert main(["synth", "--out", str(dataset_folder), "--frames", "2", "--seed", "4", "--overwrite", *settings]) == 0
+    with pytest.raises(DatasetError, match="vanished" if what == "moved" else "another dataset now"):
+        labelling.place(0, DRIVER, "neck", 1.0, 1.0)
+    assert workspace.labels.path.read_text() == lines
 
 
 def test_copy_takes_the_last_labelled_frame(labelling: Labelling) -> None:

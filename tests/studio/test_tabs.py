@@ -18,6 +18,7 @@ from nicegui.testing import User, user_simulation
 from nicegui.testing.user_download import UserDownload
 from starlette.testclient import TestClient
 
+from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.exchange import MOST_BYTES
 from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
 from cabinpose.app.studio.page import TABS, shared_by, studio_page
@@ -244,6 +245,39 @@ def test_coco_goes_out_and_comes_back_corrected(workspace: Workspace, monkeypatc
     used(workspace, steps)
 
 
+@pytest.mark.parametrize("what", ["journal", "dataset"])
+def test_label_tab_says_that_it_takes_nothing_more(workspace: Workspace, dataset_folder: Path, what: str) -> None:
+    """Before anybody changes a joint; once it is back, the tab goes on."""
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        user.find("Accept").click()
+        await user.should_see("1 of 6 frames done")
+        gone = workspace.labels.path if what == "journal" else dataset_folder
+        aside = gone.rename(gone.with_name("aside"))
+        await user.should_see("Nothing more is taken", retries=40)
+        assert not user.find("Accept", kind=ui.button).elements.pop().enabled
+        aside.rename(gone)
+        await user.should_not_see("Nothing more is taken", retries=40)
+        user.find("Accept").click()
+        await user.should_see("2 of 6 frames done")
+
+    used(workspace, steps)
+
+
+def test_undo_says_what_another_window_has_set(workspace: Workspace) -> None:
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        user.find("Accept").click()
+        await user.should_see("1 of 6 frames done")
+        Labelling(workspace.dataset, workspace.labels).place(0, "driver", "neck", 50.0, 51.0)
+        user.find("Undo").click()
+        await user.should_see("13 joints undone; 1 stay: they were set in another window since")
+        assert list(workspace.labels.now) == [(0, "driver", "neck")]
+
+    used(workspace, steps)
+
+
 def test_frames_that_come_are_offered(dataset_folder: Path) -> None:
     """The second of three parts comes last, as on a cluster: frames keep their numbers, and images their frames."""
     part = dataset_folder / "part-00001.zarr"
@@ -289,7 +323,8 @@ def test_dataset_that_vanishes_is_told_and_comes_back(workspace: Workspace, data
         await user.should_see("dataset has vanished", retries=40)
         await user.should_see("bring it back to where it was")
         user.find("Label", kind=ui.tab).click()
-        user.find("Accept").click()  # to the next frame, which cannot be shown
+        await user.should_see("Nothing more is taken", retries=40)
+        user.find("chevron_right", kind=ui.button).click()  # to the next frame, which cannot be shown
         await user.should_see("this frame cannot be read: ")
         user.find("Compare", kind=ui.tab).click()
         user.notify.messages.clear()

@@ -66,6 +66,7 @@ class Labels:
             elif len(whole) < len(text):
                 self._file.truncate(len(whole))
             _, self.history = _parsed(path, whole, header)
+            self._size = len(whole)
         except BaseException:
             self._file.close()
             raise
@@ -87,8 +88,9 @@ class Labels:
     def set(self, changes: Iterable[tuple[Key, JointLabel | None]], *, role: str, how: str) -> None:
         """Set joints, all or none of them, or take their labels away (None); returns when that is on the disk.
 
-        Raises DatasetError where the disk refuses, and for a person or joint that the dataset does not have.
+        Raises DatasetError where the disk refuses, for a person or joint that the dataset does not have, and see `check`.
         """
+        self.check()
         time = datetime.now(UTC).isoformat(timespec="milliseconds")
         made = [Change(time, role, how, *key, label) for key, label in changes]
         for change in made:
@@ -99,6 +101,23 @@ class Labels:
         self._append("".join(change.line() for change in made).encode())
         self.history += made
         _apply(self._now, made)
+
+    def check(self) -> None:
+        """Raise DatasetError where the journal is no longer the file of its name, or holds what is not from here."""
+        if self._file.closed:
+            raise DatasetError(f"{self.path} is no longer open here", hint="load the page again")
+        ours = os.fstat(self._file.fileno())
+        try:
+            there: os.stat_result | None = self.path.stat()
+        except OSError:
+            there = None
+        if there is None or not os.path.samestat(ours, there):
+            words = "was deleted or renamed" if there is None else "was replaced by another file"
+            raise DatasetError(
+                f"{self.path} {words}", hint="bring it back to go on, or end the studio and open the dataset again"
+            )
+        if ours.st_size != self._size:
+            raise DatasetError(f"{self.path} was changed by another program", hint="end the studio and open the dataset again")
 
     def close(self) -> None:
         """Let others open the journal."""
@@ -111,6 +130,7 @@ class Labels:
             if written != len(lines):
                 raise OSError(28, "no space left on device")
             os.fsync(self._file.fileno())
+            self._size = end + written
         except OSError as error:
             self._file.truncate(end)
             raise DatasetError(

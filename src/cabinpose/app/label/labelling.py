@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -52,14 +52,24 @@ def open_labels(path: Path, dataset: xr.Dataset, manifest: Manifest) -> Labels:
     return Labels(path, dataset_id(manifest), persons, joints)
 
 
+class Undone(NamedTuple):
+    """What an undo did: how many joints are as they were before, and how many stay, since somebody else has set them later."""
+
+    joints: int
+    kept: int
+
+
 class Labelling:
     """Labels of one dataset in work. Rows are positions in the dataset; frames are told by their numbers.
 
-    labels: the dataset's journal · role: who labels, as the journal shall say.
+    labels: the dataset's journal · role: who labels, as the journal shall say · check: raises DatasetError where the dataset is
+    no longer the one that is labelled.
     """
 
-    def __init__(self, dataset: xr.Dataset, labels: Labels, role: str = "annotator") -> None:
-        self.dataset, self.labels, self.role = dataset, labels, role
+    def __init__(
+        self, dataset: xr.Dataset, labels: Labels, role: str = "annotator", check: Callable[[], object] = lambda: None
+    ) -> None:
+        self.dataset, self.labels, self.role, self._check = dataset, labels, role, check
         known = [str(name) for name in self.dataset["joint"].values]
         self.sets = _joint_sets(known)
         self.joints = next(iter(self.sets.values()))
@@ -72,7 +82,8 @@ class Labelling:
         self._sequence = small["sequence"].values
         self._bones: defaultdict[tuple[str, str, str], dict[int, float]] = defaultdict(dict)  # see `_measured_bones`
         self._measured = 0  # changes of the journal that they hold
-        self._undo: list[list[tuple[Key, JointLabel | None]]] = []
+        self._undo: list[tuple[int, list[tuple[Key, JointLabel | None]]]] = []  # where in the history it begins, what was before
+        self._own: set[int] = set()  # positions in the history of what this session set
         self.model: Predictor | Predictions | None = None
         self._proposed = lru_cache(_REMEMBERED)(self._propose)
 
@@ -198,17 +209,38 @@ class Labelling:
             self._set(changes, "interpolated")
         return last - first - 1
 
-    def undo(self) -> bool:
-        """Take the last change of this session back; False where there is none."""
+    def check(self) -> None:
+        """Raise DatasetError where a change could not be kept: the dataset or the journal is another one, or gone."""
+        self._check()
+        self.labels.check()
+
+    def undo(self) -> Undone | None:
+        """Take the last change of this session back, but for joints that another one has set since; None: there is none."""
         if not self._undo:
-            return False
-        self.labels.set(self._undo.pop(), role=self.role, how="undone")
-        return True
+            return None
+        begun, before = self._undo[-1]
+        others = {
+            (change.frame, change.person, change.joint)
+            for position, change in enumerate(self.labels.history[begun:], begun)
+            if position not in self._own
+        }
+        back = [(key, label) for key, label in before if key not in others]
+        if back:
+            self._write(back, "undone")
+        self._undo.pop()
+        return Undone(len(back), len(before) - len(back))
 
     def _set(self, changes: Sequence[tuple[Key, JointLabel | None]], how: str) -> None:
         before = [(key, self.labels.get(*key)) for key, _ in changes]
+        begun = len(self.labels.history)
+        self._write(changes, how)
+        self._undo.append((begun, before))
+
+    def _write(self, changes: Sequence[tuple[Key, JointLabel | None]], how: str) -> None:
+        self.check()
+        begun = len(self.labels.history)
         self.labels.set(changes, role=self.role, how=how)
-        self._undo.append(before)
+        self._own.update(range(begun, len(self.labels.history)))
 
     # ------------------------------------------------------------------------------------------------ proposals
 

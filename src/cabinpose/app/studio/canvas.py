@@ -56,6 +56,11 @@ class FrameCanvas(Element, component="canvas.js"):
         self._props |= {"url": url, "near": near, "far": far, "palette": palette or colour_map().tolist()}
         self.update()
 
+    def set_editable(self, editable: bool) -> None:
+        """Whether joints can be dragged."""
+        self._props["editable"] = editable
+        self.update()
+
     def joints(
         self, people: Sequence[Mapping[str, Any]], limbs: Sequence[Sequence[int]], selected: tuple[int, int] | None = None
     ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 
-from cabinpose.app.label.labelling import Labelling, Shown
+from cabinpose.app.label.labelling import Labelling, Shown, Undone
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.exchange import Exchange, Passing
@@ -35,6 +35,7 @@ _HELP = (
 )  # fmt: skip
 _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
 _WORST = "worst:"  # and the name of predictions
+_REFUSED = object()  # of a change that could not be kept
 
 
 class LabelTab:
@@ -52,6 +53,8 @@ class LabelTab:
             with ui.column().classes("studio-side"):
                 self._build_side()
             with ui.column().classes("studio-main"):
+                self._trouble = ui.label().classes("studio-news w-full").mark("trouble")
+                self._trouble.visible = False
                 with ui.element("div").classes("studio-pane w-full"):
                     self._canvas = FrameCanvas(editable=True, on_pick=self._pick, on_place=self._place, on_key=self._key)
                 with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
@@ -86,10 +89,13 @@ class LabelTab:
             self._contrast.style("flex: 1").tooltip("contrast")
         self._list = ui.column().classes("w-full").style("gap: 0")
         with ui.row().classes("no-wrap w-full").style("gap: 6px"):
-            for words, key in (("Accept", "Enter"), ("Copy", "c"), ("Interpolate", "i"), ("Undo", "z")):
-                ui.button(words, on_click=lambda key=key: self._key({"key": key})).props("dense outline no-caps").style(
-                    "flex: 1; font-size: 12px"
-                ).tooltip(key)
+            self._changing = [
+                ui.button(words, on_click=lambda key=key: self._key({"key": key}))
+                .props("dense outline no-caps")
+                .style("flex: 1; font-size: 12px")
+                .tooltip(key)
+                for words, key in (("Accept", "Enter"), ("Copy", "c"), ("Interpolate", "i"), ("Undo", "z"))
+            ]
         with ui.row().classes("no-wrap w-full items-center"):
             self._saved = ui.label().style("font-size: 12px; opacity: .7; flex: 1")
             Exchange(self._workspace, self._labelling, self._page.of_studio(Passing), self._show)
@@ -124,8 +130,8 @@ class LabelTab:
         key, shift = str(pressed["key"]), bool(pressed.get("shift"))
         labelling, joint = self._labelling, self._labelling.joints[self._chosen]
         if key == "Enter":
-            self._do(lambda: labelling.accept(self._row, self._person))
-            self._go(1)
+            if self._do(lambda: labelling.accept(self._row, self._person)) is not _REFUSED:
+                self._go(1)
             return
         if key in ("f", "b"):
             self._go(1 if key == "f" else -1)
@@ -141,17 +147,41 @@ class LabelTab:
             ui.notify("no frame before this one is labelled whole")
         elif key == "i" and not self._do(lambda: labelling.interpolate(self._row, self._person)):
             ui.notify("interpolating needs a labelled frame before this one and one after it, of the same sequence")
-        elif key == "z" and not self._do(labelling.undo):
-            ui.notify("nothing to undo")
+        elif key == "z":
+            self._undo()
         self._show()
 
+    def _undo(self) -> None:
+        undone = self._do(self._labelling.undo)
+        if undone is None:
+            ui.notify("nothing to undo")
+        elif isinstance(undone, Undone) and undone.kept:
+            ui.notify(
+                f"{undone.joints} joints undone; {undone.kept} stay: they were set in another window since",
+                type="warning", timeout=10_000,
+            )  # fmt: skip
+
+    def _look_for_trouble(self) -> None:
+        """Where dataset or journal are gone, or others: say so and take nothing; once they are back, go on."""
+        try:
+            self._labelling.check()
+            words = ""
+        except CabinposeError as error:
+            words = f"Nothing more is taken: {error.in_one_line()}"
+        if words != self._trouble.text:
+            self._trouble.text, self._trouble.visible = words, bool(words)
+            self._canvas.set_editable(not words)
+            for button in self._changing:
+                button.set_enabled(not words)
+
     def _do(self, change: Callable[[], Any]) -> Any:
-        """Make a change; a disk that refuses it is told, and nothing is lost."""
+        """Make a change, and give what it gives; one that cannot be kept is told, and `_REFUSED`."""
         try:
             return change()
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000)
-            return True
+            self._look_for_trouble()
+            return _REFUSED
 
     def _nudge(self, joint: str, du: int, dv: int, step: int) -> None:
         label = next(s.label for s in self._labelling.shown(self._row, self._person) if s.joint == joint)
@@ -250,7 +280,8 @@ class LabelTab:
         self._show()
 
     def _look_for_others(self) -> None:
-        """Show what another tab has changed, and offer the predictions that it opened."""
+        """Show what another tab has changed, and offer the predictions that it opened; say where changes cannot be kept."""
+        self._look_for_trouble()
         if (orders := self._orders()) != self._order.options:
             self._order.set_options(orders)
             self._model.set_options(choices(self._workspace))
@@ -336,7 +367,7 @@ def _build(page: Page) -> None:
         no_dataset(workspace.recording, "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
         return
     try:
-        labelling = Labelling(workspace.dataset, workspace.labels, workspace.role)
+        labelling = Labelling(workspace.dataset, workspace.labels, workspace.role, workspace.new_frames)
     except CabinposeError as error:
         empty_state("The labels cannot be opened", str(error), error.hint or "")
         return
