@@ -61,6 +61,7 @@ class PoseBatch:
     presence: (F, P, J) float32 in 0..1, the probability that the joint is in the image; 0 = no answer.
     expected_error_m: (F, P, J) float32 m, the mean distance of such joints to the truth in 3D; NaN = not known, as in all of a
     detector whose confidence is not calibrated.
+    reason: (F,) object, why a frame has no answer, as a text for people; "" = the detector looked at it, and may have found nobody.
     """
 
     joints_2d: NDArray[np.float32]
@@ -68,24 +69,37 @@ class PoseBatch:
     score: NDArray[np.float32]
     presence: NDArray[np.float32]
     expected_error_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((), np.float32), kw_only=True)
+    reason: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object), kw_only=True)
 
     def __post_init__(self) -> None:
         if not self.expected_error_m.ndim:  # left out
             object.__setattr__(self, "expected_error_m", np.full(self.score.shape, np.nan, np.float32))
+        frames = self.score.shape[:-2]
+        if not self.reason.size:  # left out
+            object.__setattr__(self, "reason", np.full(frames, "", object))
+        if self.reason.shape != frames:
+            raise ValueError(f"reasons of shape {self.reason.shape} do not belong to frames of shape {frames}")
 
-    def map(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> PoseBatch:
-        """The batch with all five arrays changed alike."""
-        return PoseBatch(**{name: change(getattr(self, name)) for name in POSE_ARRAYS})
+    def map(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> PoseBatch:
+        """The batch with all arrays changed alike: frames, persons or joints chosen or put in another order."""
+        arrays = {name: change(getattr(self, name)) for name in POSE_ARRAYS}
+        reason = np.full(arrays["score"].shape[:-2], "", object)
+        if self.reason.any() and self.score.size:  # chosen with the joints: those of one frame have the same
+            each = change(np.broadcast_to(self.reason[..., None, None], self.score.shape))
+            reason = each[..., 0, 0] if each.size else reason
+        return PoseBatch(**arrays, reason=np.asarray(reason, object))
 
 
-POSE_ARRAYS = tuple(PoseBatch.__dataclass_fields__)
+POSE_ARRAYS = ("joints_2d", "joints_3d", "score", "presence", "expected_error_m")
+"""The arrays of a `PoseBatch` that have numbers for each joint."""
 
 
 def joined(batches: Sequence[PoseBatch]) -> PoseBatch:
     """The frames of several batches of the same persons and joints, in their order."""
     if len(batches) == 1:
         return batches[0]
-    return PoseBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in POSE_ARRAYS})
+    names = (*POSE_ARRAYS, "reason")
+    return PoseBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
 
 
 @runtime_checkable

@@ -48,6 +48,10 @@ class InputView:
             )
         return _gather(images, _nearest(self, source))
 
+    def filled(self, source: Camera) -> float:
+        """The share of this view's pixels that the source camera sees."""
+        return 1.0 - _nearest(self, source).outside.size / (self.width * self.height)
+
     def depth(self, depth_m: NDArray[np.floating], source: Camera) -> F32:
         """Depth images (..., H, W) in metres, NaN or 0 where invalid, as this view's, 0 where invalid or out of range."""
         seen = np.asarray(self.resample(depth_m, source), dtype=np.float32)  # a copy, so that it can be changed in place

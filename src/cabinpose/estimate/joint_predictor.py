@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, joined
+from cabinpose.core import POSE_ARRAYS, Camera, ConfigError, FrameBatch, PoseBatch, joined
 from cabinpose.estimate.expected_error import expected_errors
 from cabinpose.estimate.found import Found, mirrored
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, image_in, slices, view_inputs
 from cabinpose.estimate.settings import PlacedSettings
+from cabinpose.estimate.sight import unseen
 
 # Median of amplitude times squared depth (m) over a generated frame, and where a model begins to fail: at a tenth of it the
 # median error of `in_car` is 2.5 cm in place of 1.0, at a hundredth 52, at ten times as much 1.4 and at a hundred times 3.3.
@@ -49,8 +51,23 @@ class JointPredictor:
         for which in slices(len(image_in(frames))):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
-            batches.append(self.poses(self._found(seen, self._turned(frames, which, len(cameras))), cameras))
+            poses = self.poses(self._found(seen, self._turned(frames, which, len(cameras))), cameras)
+            batches.append(self._believed(poses, frames, seen, cameras))
         return joined(batches)
+
+    def _believed(
+        self, poses: PoseBatch, frames: FrameBatch, seen: dict[str, NDArray[np.float32]], cameras: Sequence[Camera]
+    ) -> PoseBatch:
+        """The poses without those of frames in which nobody can be seen, which say why."""
+        if "depth" not in frames or not cameras:
+            return poses
+        view = self.config.view
+        told = unseen(seen, np.array([view.filled(camera) for camera in cameras]))
+        if any(told):
+            blind = np.array([bool(reason) for reason in told])
+            for name in POSE_ARRAYS:
+                getattr(poses, name)[blind] = 0.0 if name in ("score", "presence") else np.nan
+        return replace(poses, reason=np.array(told, object))
 
     def _turned(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.bool_]:
         """(N,) whether the wheel is on the other side than in the cars that the model has learnt from."""
@@ -109,7 +126,8 @@ class JointPredictor:
         PoseBatch
             joints_2d (P, J, 2) px, joints_3d (P, J, 3) m in the camera frame, score and presence (P, J), for the slots
             `persons` and the joints `joints`, with expected_error_m (P, J) where the model's confidence is calibrated; with N
-            before that for many frames.
+            before that for many frames. reason (a text; N for many frames) says why a frame in which nobody can be seen has
+            no answer.
 
         Raises
         ------
