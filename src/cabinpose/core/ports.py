@@ -61,7 +61,7 @@ class PoseBatch:
     presence: (F, P, J) float32 in 0..1, the probability that the joint is in the image; 0 = no answer.
     expected_error_m: (F, P, J) float32 m, the mean distance of such joints to the truth in 3D; NaN = not known, as in all of a
     detector whose confidence is not calibrated.
-    reason: (F,) object, why a frame has no answer, as a text for people; "" = the detector looked at it, and may have found nobody.
+    reason: (F,) object, why a frame has no answer, in words; "" = the detector looked at it, and may have found nobody.
     """
 
     joints_2d: NDArray[np.float32]

@@ -59,14 +59,15 @@ class JointPredictor:
         self, poses: PoseBatch, frames: FrameBatch, seen: dict[str, NDArray[np.float32]], cameras: Sequence[Camera]
     ) -> PoseBatch:
         """The poses without those of frames in which nobody can be seen, which say why."""
-        if "depth" not in frames or not cameras:
+        if not cameras or not frames.keys() & {"depth"}:
             return poses
         view = self.config.view
-        told = unseen(seen, np.array([view.filled(camera) for camera in cameras]))
-        if any(told):
-            blind = np.array([bool(reason) for reason in told])
-            for name in POSE_ARRAYS:
-                getattr(poses, name)[blind] = 0.0 if name in ("score", "presence") else np.nan
+        told = unseen(seen, [view.filled(camera) for camera in cameras])
+        if not any(told):
+            return poses
+        blind = np.array([bool(reason) for reason in told])
+        for name in POSE_ARRAYS:
+            getattr(poses, name)[blind] = 0.0 if name in ("score", "presence") else np.nan
         return replace(poses, reason=np.array(told, object))
 
     def _turned(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.bool_]:

@@ -1,0 +1,126 @@
+"""Frames in which nobody can be seen: no joints and a reason; pictures of people are answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cabinpose
+from cabinpose.core import PoseBatch, joined
+from cabinpose.estimate import JointPredictor, load_model
+
+SIDE = np.random.default_rng(3)
+Image = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@pytest.fixture(scope="module")
+def frame() -> dict[str, Any]:
+    return next(cabinpose.generate("scene.cars=[suv]", frames=1, seed=4))
+
+
+@pytest.fixture(scope="module")
+def model() -> JointPredictor:
+    return load_model("in_car", threads=1)
+
+
+def smooth(depth: Image) -> Image:
+    """A corner of two bare walls."""
+    return np.broadcast_to(1.5 / (1 + np.abs(np.linspace(-1, 1, depth.shape[1]))), depth.shape)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda d: np.full_like(d, np.nan), "0.0 % of the pixels have a depth"),
+        (np.zeros_like, "0.0 % of the pixels have a depth"),
+        (np.negative, "0.0 % of the pixels have a depth"),
+        (lambda d: np.full_like(d, np.inf), "0.0 % of the pixels have a depth"),
+        (lambda d: d * 10, "0.0 % of the pixels have a depth"),
+        (lambda d: np.full_like(d, 0.05), "100.0 % of the depths are nearer than 0.2 m"),
+        (lambda d: d / 1000, "100.0 % of the depths are nearer than 0.2 m"),
+        (lambda d: np.full_like(d, 0.3) + 0.01 * SIDE.normal(size=d.shape), "nearer than 0.5 m"),
+        (np.ones_like, "no silhouette"),
+        (lambda d: 1 + 0.02 * SIDE.normal(size=d.shape), "one surface"),
+        (smooth, "no silhouette"),
+        (lambda d: SIDE.uniform(0.3, 2.5, d.shape), "this is noise"),
+        (lambda d: np.where(SIDE.random(d.shape) < 0.05, 1.0, np.nan), "scattered points"),
+    ],
+    ids=(
+        "nan", "zero", "negative", "infinite", "decimetres", "hand", "kilometres", "near", "wall", "noisy wall", "corner", "noise",
+        "scattered",
+    ),
+)  # fmt: skip
+def test_what_is_no_picture_has_nobody_and_a_reason(
+    model: JointPredictor, frame: dict[str, Any], wrong: Callable[[Image], Image], said: str
+) -> None:
+    found = model(wrong(frame["depth"].astype(float)), frame["camera_k"], frame["amplitude"], camera_dist=frame["camera_dist"])
+    assert said in str(found.reason)
+    assert np.isnan(found.joints_3d).all()
+    assert np.isnan(found.joints_2d).all()
+    assert not found.presence.any()
+    assert not found.score.any()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (np.zeros_like, "0.0 % of the pixels with a depth have an amplitude"),
+        (lambda a: -a, "of the amplitudes are negative"),
+        (lambda a: np.where(np.arange(a.shape[1]) == 170, np.nan, a), "of the amplitudes are not finite"),
+        (lambda a: np.where(np.arange(a.shape[1]) == 170, np.inf, a), "of the amplitudes are not finite"),
+        (lambda a: np.where(np.arange(a.shape[1]) % 2, 0, a), "have an amplitude above 0"),
+    ],
+    ids=["zero", "negative", "nan", "infinite", "every other column"],
+)
+def test_amplitudes_that_are_none_have_nobody_and_a_reason(
+    model: JointPredictor, frame: dict[str, Any], wrong: Callable[[Image], Image], said: str
+) -> None:
+    light = wrong(frame["amplitude"].astype(float))
+    found = model(frame["depth"], frame["camera_k"], light, camera_dist=frame["camera_dist"])
+    assert said in str(found.reason)
+    assert np.isnan(found.joints_3d).all()
+
+
+def test_people_are_answered_without_a_reason_beside_frames_that_have_one(model: JointPredictor, frame: dict[str, Any]) -> None:
+    found = model(frame["depth"], frame["camera_k"], frame["amplitude"], camera_dist=frame["camera_dist"])
+    assert str(found.reason) == ""
+    assert np.isfinite(found.joints_3d).all()
+    # Of two frames the wrong one alone loses its joints.
+    blind = np.stack((np.full_like(frame["depth"], np.nan), frame["depth"]))
+    both = model(blind, frame["camera_k"], np.stack([frame["amplitude"]] * 2), camera_dist=frame["camera_dist"])
+    assert [bool(reason) for reason in both.reason] == [True, False]
+    assert np.isnan(both.joints_3d[0]).all()
+    assert np.isfinite(both.joints_3d[1]).all()
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+def test_real_frames_of_people_are_answered(real_data: Callable[[str], Path]) -> None:
+    k = np.array([[285.714, 0, 160.0], [0, 285.714, 120], [0, 0, 1]])
+    cropped = np.diag((100 / 240, 100 / 240, 1)) @ np.array([[285.714, 0, 119.5], [0, 285.714, 119.5], [0, 0, 1]])
+    with np.load(real_data("itop/itop_train_full_2.npz")) as file:
+        frames = [(file["depth_mm"] / 1000, k)]
+    with np.load(real_data("tof/kinect_v2_panoptic.npz")) as file:
+        frames.append((file["depth_m"][None], file["camera_k"]))
+    for view in ("front", "top"):
+        with np.load(real_data(f"itop/itop_{view}_64.npz")) as file:
+            frames.append((4.24 * file["depth01"], cropped))
+    for name in ("room", "room_top", "paf"):  # paf sees a few pixels of them, which are not judged by their shape
+        model = load_model(name, threads=1)
+        for depth, camera_k in frames:
+            assert not model(depth, camera_k).reason.any()
+
+
+def test_reasons_go_with_their_frames() -> None:
+    shape, reasons = (3, 2, 4), np.array(["", "covered", "a wall"], object)
+    batch = PoseBatch(np.zeros((*shape, 2)), np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), reason=reasons)
+    assert batch.map(lambda a: a[[2, 0]]).reason.tolist() == ["a wall", ""]
+    assert batch.map(lambda a: a[:, [1]][:, :, [0, 2]]).reason.tolist() == reasons.tolist()
+    assert str(batch.map(lambda a: a[1]).reason) == "covered"
+    assert joined([batch, batch]).reason.tolist() == [*reasons, *reasons]
+    with pytest.raises(ValueError, match="reasons of shape"):
+        PoseBatch(batch.joints_2d, batch.joints_3d, batch.score, batch.presence, reason=reasons[:2])
