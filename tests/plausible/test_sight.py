@@ -50,7 +50,7 @@ def smooth(depth: Image) -> Image:
         (lambda d: np.where(SIDE.random(d.shape) < 0.05, 1.0, np.nan), "scattered points"),
     ],
     ids=(
-        "nan", "zero", "negative", "infinite", "decimetres", "hand", "kilometres", "near", "wall", "noisy wall", "corner", "noise",
+        "nan", "zero", "negative", "infinite", "decimetres", "hand", "kilometres", "near", "wall", "noisy", "corner", "noise",
         "scattered",
     ),
 )  # fmt: skip
