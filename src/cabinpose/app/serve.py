@@ -13,7 +13,7 @@ import numpy as np
 from tritonclient.grpc import service_pb2, service_pb2_grpc
 
 import cabinpose
-from cabinpose.core import CabinposeError, FrameBatch, Predictor, RemoteError, images_of
+from cabinpose.core import POSE_ARRAYS, CabinposeError, FrameBatch, Predictor, RemoteError, images_of
 from cabinpose.estimate import JointPredictor
 from cabinpose.estimate.remote import (
     EXTENSION,
@@ -123,7 +123,7 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
                 found = self._predictor.predict(frames)
         finally:
             self._turn.release()
-        return vars(found) | self._names
+        return {name: getattr(found, name) for name in POSE_ARRAYS} | self._names
 
     def _put(self, response: Any, answer: Arrays, asked: Sequence[Any]) -> None:
         """The outputs that were asked for, or all of them, into the response or into shared memory."""

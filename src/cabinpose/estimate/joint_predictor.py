@@ -27,7 +27,7 @@ _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 class JointPredictor:
     """A trained model of joints, whatever its file holds; fulfils `core.ports.Predictor`."""
 
-    _warned_of_light = _warned_of_side = False
+    _warned_of_light = _warned_of_side = _warned_of_blind = False
 
     def __init__(self, model: TrainedModel) -> None:
         """model: of a method whose task is joints."""
@@ -58,7 +58,7 @@ class JointPredictor:
     def _believed(
         self, poses: PoseBatch, frames: FrameBatch, seen: dict[str, NDArray[np.float32]], cameras: Sequence[Camera]
     ) -> PoseBatch:
-        """The poses without those of frames in which nobody can be seen, which say why."""
+        """The poses without those of frames in which nobody can be seen, which say why. Warns of the first of them."""
         if not cameras or not frames.keys() & {"depth"}:
             return poses
         view = self.config.view
@@ -68,6 +68,11 @@ class JointPredictor:
         blind = np.array([bool(reason) for reason in told])
         for name in POSE_ARRAYS:
             getattr(poses, name)[blind] = 0.0 if name in ("score", "presence") else np.nan
+        if not self._warned_of_blind:
+            self._warned_of_blind = True
+            warnings.warn(
+                f"a frame in which {self.name} cannot see anybody: {next(filter(None, told))}; it has no joints", stacklevel=3
+            )
         return replace(poses, reason=np.array(told, object))
 
     def _turned(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.bool_]:
