@@ -101,7 +101,7 @@ def _said(figure: float, words: str) -> str:
 
 
 def _off_surface(depth: F32) -> float:
-    """The share of depths (h, w) off the surface 1/z = a + b u + c v + d u² + e u v + f v² that is nearest to all; a plane is one."""
+    """The share of depths (h, w) off the surface 1/z = a + b u + c v + d u² + e u v + f v² nearest to all; a plane is one."""
     basis, products, where = _surface(*depth.shape)
     flat = depth.ravel()
     inside = (flat > 0).astype(np.float32)
