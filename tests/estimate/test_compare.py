@@ -142,6 +142,10 @@ def test_a_comparison_and_what_is_not_done_again(room: Path, tmp_path: Path, run
         patch.setattr("cabinpose.app.compare.import_source", never)
         patch.setattr("cabinpose.estimate.joint_predictor.JointPredictor.predict", never)
         assert run(*arguments, "--methods", "yolo").out == first.out
+    kept = out / "found" / "room" / "yolo.npz"
+    kept.write_bytes(kept.read_bytes()[:300])  # a damaged one is made again
+    assert run(*arguments, "--methods", "yolo").code == 0
+    assert len(np.load(kept)["joints_3d"]) == 8
     beside = run(*arguments, "--methods", "yolo,paf", "--model", f"paf={out / 'models' / 'yolo' / 'model.onnx'}", "--json")
     again = json.loads(beside.out.splitlines()[-1])["tests"]["room"]
     assert again["yolo"]["report"]["values"] == again["paf"]["report"]["values"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import resource
 import time
 import zipfile
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from cabinpose.app.cli import main
-from cabinpose.core import check_onnx, read_arrays
+from cabinpose.core import check_onnx, read_arrays, run_onnx
 from cabinpose.core.errors import ModelError
 from cabinpose.estimate import packaged_models
 from cabinpose.estimate.array_model import ArrayModel
@@ -93,6 +94,63 @@ def test_cut_files_and_other_bytes_are_no_model(tmp_path: Path) -> None:
         (tmp_path / "m.onnx").write_bytes(data)
         with pytest.raises(ModelError):
             open_predictor(str(tmp_path / "m.onnx"))
+
+
+def growing(model: onnx.ModelProto, times: int) -> None:
+    """An output that is a sum over `times` numbers for each frame of a batch: no file tells how many."""
+    graph, onnx_, tag = model.graph, onnx.helper, f"{times}"
+    graph.initializer.append(onnx_.make_tensor(f"of_each{tag}", onnx.TensorProto.INT64, [3], [times, 1, 1]))
+    graph.initializer.append(onnx_.make_tensor(f"nought{tag}", onnx.TensorProto.FLOAT, [1], [0.0]))
+    given, found = graph.input[0].name, graph.output[0].name
+    for node in graph.node:
+        node.output[:] = [f"found{tag}" if name == found else name for name in node.output]
+    graph.node.extend(
+        [
+            onnx_.make_node("Shape", [given], [f"shape{tag}"]),
+            onnx_.make_node("Mul", [f"shape{tag}", f"of_each{tag}"], [f"many{tag}"]),
+            onnx_.make_node("Expand", [f"nought{tag}", f"many{tag}"], [f"numbers{tag}"]),
+            onnx_.make_node("ReduceSum", [f"numbers{tag}"], [f"sum{tag}"], keepdims=0),
+            onnx_.make_node("Add", [f"found{tag}", f"sum{tag}"], [found]),
+        ]
+    )
+
+
+def test_memory_of_a_run_is_bounded(lift: onnx.ModelProto, tmp_path: Path) -> None:
+    path, sound = tmp_path / "m.onnx", OnnxModel(packaged_models()["lift"], threads=1)
+    seen = {name: np.ones((4, 14, 3), np.float32) for name in sound.config.inputs}
+    expected = sound.outputs(seen)
+    growing(lift, 100)
+    path.write_bytes(lift.SerializeToString())
+    for name, values in OnnxModel(path, threads=1).outputs(seen).items():
+        np.testing.assert_allclose(values, expected[name], rtol=1e-5, atol=1e-6)
+    growing(lift, 30_000_000)
+    path.write_bytes(lift.SerializeToString())
+    model, before = OnnxModel(path, threads=1), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ModelError, match=r"cannot be run: .* smaller than requested bytes of 5040000000") as told:
+        model.outputs(seen)
+    assert "2 GB" in told.value.hint
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
+    for name, values in sound.outputs(seen).items():  # others run on
+        np.testing.assert_array_equal(values, expected[name])
+
+
+def test_a_batch_that_does_not_fit_goes_in_halves() -> None:
+    class Session:
+        def __init__(self, most: int) -> None:
+            self.most, self.sizes = most, list[int]()
+
+        def run(self, names: list[str], inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
+            self.sizes.append(len(inputs["a"]))
+            if len(inputs["a"]) > self.most:
+                raise RuntimeError("void f(x) no room")
+            return [inputs["a"] + inputs["b"]] * len(names)
+
+    inputs, session = {"a": np.arange(7.0), "b": np.ones(7)}, Session(2)
+    (found,) = run_onnx(session, Path("m.onnx"), ["sum"], inputs)
+    np.testing.assert_array_equal(found, np.arange(7.0) + 1)
+    assert session.sizes == [7, 3, 1, 2, 4, 2, 2]
+    with pytest.raises(ModelError, match=r"^m.onnx cannot be run: no room$"):
+        run_onnx(Session(0), Path("m.onnx"), ["sum"], inputs)
 
 
 def test_weights_that_are_no_numbers_are_told(lift: onnx.ModelProto, tmp_path: Path) -> None:

@@ -129,6 +129,22 @@ def _torn(folder: Path) -> None:
     read_class_images(folder / "x.zarr")
 
 
+def _giant(folder: Path) -> None:
+    """A chunk of 10^12 bytes, of which none is there."""
+    write_class_images(folder / "x.zarr", [np.zeros((2, 2, 3), np.uint8)], np.array([1, 2]), PARTS, model="m")
+    group = zarr.open_group(folder / "x.zarr", mode="a")
+    group.create_array("labels", shape=(2, 10**6, 10**6), chunks=(1, 10**6, 10**6), dtype="uint8", overwrite=True)
+    read_class_images(folder / "x.zarr")
+
+
+def _cut(folder: Path) -> None:
+    path = folder / "x.zarr"
+    write_class_images(path, [np.arange(6, dtype=np.uint8).reshape(1, 2, 3)], np.array([1]), PARTS, model="m")
+    chunk = path / "labels/c/0/0/0"
+    chunk.write_bytes(chunk.read_bytes()[:9])
+    read_class_images(path).segment({"depth": np.ones((1, 2, 3), np.float32), "frame": np.array([1])})  # type: ignore[typeddict-item]
+
+
 def _without_labels(folder: Path) -> None:
     evaluate_parts(scene(np.zeros((1, 2, 2), int)).drop_vars("labels"), Fixed(np.zeros((1, 2, 2))))
 
@@ -139,6 +155,8 @@ def _without_labels(folder: Path) -> None:
         (_other_size, PredictionsError, "4x4 pixels, frames of 30x20"),
         (_of_another_kind, PredictionsError, "no label images of version 1"),
         (_torn, PredictionsError, "do not fit"),
+        (_giant, PredictionsError, "do not fit"),
+        (_cut, PredictionsError, "frame 1 cannot be read"),
         (lambda folder: read_class_images(folder / "none.zarr"), PredictionsError, "that can be read"),
         (_without_labels, DatasetError, "no pixel classes"),
     ],

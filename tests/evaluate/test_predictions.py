@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -162,6 +163,34 @@ def test_damaged_parquet(tmp_path: Path) -> None:
     parquet.write_table(table, path)
     with pytest.raises(PredictionsError, match="unknown column w"):
         read_predictions(path)
+    words = pa.table({"frame": [1], "u": ["left"]}).replace_schema_metadata({"cabinpose": json.dumps(HEADER)})
+    parquet.write_table(words, path)
+    with pytest.raises(PredictionsError, match="the column u holds string, no numbers"):
+        read_predictions(path)
+    deep = words.replace_schema_metadata({"cabinpose": "[" * 100_000})
+    parquet.write_table(deep, path)
+    with pytest.raises(PredictionsError, match="no whole Parquet file"):
+        read_predictions(path)
+
+
+def test_parquet_that_would_fill_the_memory(tmp_path: Path) -> None:
+    """Ten million equal rows take a few kilobytes; a long name stands in a file once."""
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    path = tmp_path / "p.parquet"
+    parquet.write_table(pa.table({"frame": pa.array(np.ones(10_000_000, np.int8))}), path)
+    assert path.stat().st_size < 50_000
+    with pytest.raises(PredictionsError, match=r"it would unpack to 0.9 GB"):
+        read_predictions(path)
+    count, name = 20_000, "x" * 100_000
+    columns = {"frame": pa.array(range(count)), "person": pa.array([name]), "u": pa.array([1.0] * count)}
+    columns["person"] = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int32()), columns["person"])
+    parquet.write_table(pa.table(columns).replace_schema_metadata({"cabinpose": json.dumps(HEADER)}), path)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(PredictionsError, match="person"):
+        read_predictions(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000
 
 
 def test_parquet_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,21 +1,20 @@
-"""Every reader of foreign files with sound files for it, and faults that know where a format has its lengths.
+"""Every reader of foreign files with sound files for it, and how many damaged ones are borne.
 
-    python tests/faults/foreign.py 1000 xdf c3d        # so many damaged files of each of the named readers (none: of all)
+    python tests/faults/foreign.py 1000 xdf c3d            # so many damaged files of each of the named readers (none: of all)
+    python tests/faults/foreign.py 1000 xdf --seed 34      # others
 
 prints what came of them. Each reader works in a child process that may take 2 GB more than it has, and 20 s a file.
+
+The first word of a reader's name is that of its format (`cabinpose.formats`) or of what it is; `source KIND` plays a file.
 """
 
 from __future__ import annotations
 
-import io
+import argparse
 import json
-import re
 import shutil
-import struct
 import sys
 import time
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
@@ -25,36 +24,47 @@ from types import MappingProxyType
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "store"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 
 import numpy as np
-import sphere_people
-import trimesh
-import yaml
+import sound as made
+from damage import (
+    Places,
+    in_checked,
+    in_chunk,
+    in_glb,
+    in_group,
+    in_manifest,
+    in_png,
+    in_zip,
+    of_c3d,
+    of_glb,
+    of_mcap,
+    of_mkv,
+    of_onnx,
+    of_xdf,
+    of_zip,
+)  # fmt: skip
 from mutations import NUMBERS, Read, Survived, mutated, survive
-from test_fuzz import READ, ending, originals, rows
-from test_import import coco_file, itop_folder
+from test_fuzz import READ, ending, originals
+from test_import_ntu import NAME as CLIP
 
+from cabinpose.align.calibration import Calibration
+from cabinpose.align.session import Session
+from cabinpose.app.lab.laboratory import load_rig as load_laboratory
+from cabinpose.app.lab.rig import VirtualRig
+from cabinpose.app.lab.takes import Truth
 from cabinpose.core.errors import ModelError
 from cabinpose.estimate import packaged_models
 from cabinpose.estimate.array_model import ArrayModel
 from cabinpose.estimate.onnx_model import OnnxModel
 from cabinpose.record.config import load_rig, load_take
 from cabinpose.scene.cabin.car_file import read_car_file
-from cabinpose.scene.cabin.meshfile import read_mesh
-from cabinpose.signals import Channels, Facts, Sample, SegmentPoses
-from cabinpose.store import open_dataset, read_itop_frames, read_itop_reference, read_predictions
-from cabinpose.store.convert import import_recording, open_source
-from cabinpose.store.predictions import Predictions, write_predictions
-from cabinpose.store.recording import Chunking, Recording, RecordingWriter, Take, recover, survey
-from cabinpose.store.schema import checksum, with_checksum_line
-from cabinpose.store.shard import with_checksum
+from cabinpose.store import read_predictions
+from cabinpose.store.convert.adtf_layout import AdtfLayout
 from cabinpose.store.split import read_splits
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.style.frame import StyleFrame
-
-Places = list[tuple[int, int]]  # of numbers in a file: where they begin, and how many bytes they have
-
+from cabinpose.synth.style.stage import open_network
 
 Repack = Callable[[bytes, np.random.Generator], bytes]
 
@@ -68,6 +78,7 @@ class Foreign:
     read: Callable[[Path], Read]
     lengths: Callable[[bytes], Places] = lambda _: []
     repack: Repack | None = None
+    refused: bool = False  # in its sound state too, by what comes after the reading
 
 
 def damaged(data: bytes, rng: np.random.Generator, foreign: Foreign, places: Places) -> bytes:
@@ -85,200 +96,6 @@ def damaged(data: bytes, rng: np.random.Generator, foreign: Foreign, places: Pla
             changed[at : at + size] = new.to_bytes(size, "little")
         return bytes(changed)
     return mutated(data, rng)
-
-
-# ------------------------------------------------------------------------------------------------------------- lengths
-
-
-def of_c3d(data: bytes) -> Places:
-    """The counts of the header, and of each parameter its offset and dimensions."""
-    places = [(at, 2) for at in range(2, 20, 2)]
-    at = 512 * (data[0] - 1) + 4
-    while length := abs(struct.unpack_from("b", data, at)[0]):
-        offset = at + 2 + length
-        places += [(at, 1), (offset, 2)]
-        if data[at + 1] < 128:
-            places += [(offset + 2 + i, 1) for i in range(2 + data[offset + 3])]
-            places += [(offset + 4 + data[offset + 3], 2)]
-        step = int.from_bytes(data[offset : offset + 2], "little")
-        if not step:
-            break
-        at = offset + step
-    return places
-
-
-def of_xdf(data: bytes) -> Places:
-    """The length of each chunk, its kind and stream, and what follows: the number of samples."""
-    places, at = [], 4
-    while at < len(data):
-        places += [(at, 1), (at + 1, 4), (at + 5, 2), (at + 7, 4), (at + 11, 1), (at + 12, 4)]
-        at += 5 + int.from_bytes(data[at + 1 : at + 5], "little")
-    return places
-
-
-def of_mcap(data: bytes) -> Places:
-    """The length of each record, and the numbers that chunks, messages and the footer begin with."""
-    places, at = [], 8
-    while at + 9 <= len(data) - 8:
-        size = int.from_bytes(data[at + 1 : at + 9], "little")
-        places += [(at, 1), (at + 1, 8), *((at + 9 + i, 8) for i in range(0, min(size, 48), 8))]
-        at += 9 + size
-    return places
-
-
-def of_mkv(data: bytes) -> Places:
-    """The sizes of elements, by the identities that Azure's files have."""
-    found = []
-    for identity in (
-        "18538067",
-        "1f43b675",
-        "1654ae6b",
-        "ae",
-        "1941a469",
-        "61a7",
-        "465c",
-        "a3",
-        "1254c367",
-        "7373",
-        "67c8",
-        "63a2",
-    ):
-        code, at = bytes.fromhex(identity), data.find(bytes.fromhex(identity))
-        while at >= 0 and len(found) < 300:
-            found += [(at + len(code), 1), (at + len(code) + 1, 2)]
-            at = data.find(code, at + 1) if len(code) > 1 else -1
-    return [(at, size) for at, size in found if at + size <= len(data)]
-
-
-def of_glb(data: bytes) -> Places:
-    """The lengths of the file and of its chunks."""
-    length = int.from_bytes(data[12:16], "little")
-    return [(8, 4), (12, 4), (16, 4), (20 + length, 4), (24 + length, 4)]
-
-
-def of_zip(data: bytes) -> Places:
-    """The sizes of the entries in both directories."""
-    places = []
-    for mark, fields in (
-        (b"PK\x03\x04", (8, 18, 22, 26, 28)),
-        (b"PK\x01\x02", (10, 20, 24, 28, 42)),
-        (b"PK\x05\x06", (8, 12, 16)),
-    ):
-        at = data.find(mark)
-        while at >= 0:
-            places += [(at + field, 2 if field in (8, 10, 26, 28) else 4) for field in fields if at + field + 4 <= len(data)]
-            at = data.find(mark, at + 1)
-    return places
-
-
-def of_onnx(data: bytes) -> Places:
-    """Bytes near the beginning of messages, which are their kinds and lengths."""
-    kinds = [data.find(mark) for mark in (b"\x3a", b"\x0a", b"\x12", b"\x22", b"\x2a", b"Conv", b"Gemm", b"Reshape", b"weight")]
-    return [(at + i, 1) for at in kinds if at >= 0 for i in range(-8, 8) if 0 <= at + i < len(data)]
-
-
-# ------------------------------------------------------------------------------------- damage under right checksums
-
-
-def in_zip(data: bytes, rng: np.random.Generator) -> bytes:
-    """One entry damaged, all checksums right."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        entries = {info.filename: archive.read(info) for info in archive.infolist()}
-    chosen = list(entries)[int(rng.integers(len(entries)))]
-    head, tail = entries[chosen][:128], entries[chosen][128:]
-    entries[chosen] = mutated(head, rng) + tail if rng.random() < 0.7 else mutated(entries[chosen], rng)
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in entries.items():
-            archive.writestr(name, content)
-    return file.getvalue()
-
-
-def in_glb(data: bytes, rng: np.random.Generator) -> bytes:
-    """The JSON damaged, the lengths right."""
-    length = int.from_bytes(data[12:16], "little")
-    text = mutated(data[20 : 20 + length], rng)
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + length :]
-    return data[:8] + struct.pack("<II4s", 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
-
-
-def in_chunk(data: bytes, rng: np.random.Generator) -> bytes:
-    """The records of an MCAP file's first chunk damaged in place, under the right checksum."""
-    at = next(at for at, size in of_mcap(data) if size == 1 and data[at] == 6)
-    size, _, name = struct.unpack_from("<QII", data, at + 25)
-    begin = at + 41 + name + 8
-    records = mutated(data[begin : begin + size], rng)[:size].ljust(size, b"\0")
-    return data[: at + 33] + struct.pack("<I", zlib.crc32(records)) + data[at + 37 : begin] + records + data[begin + size :]
-
-
-def in_manifest(data: bytes, rng: np.random.Generator) -> bytes:
-    """`dataset.yaml` damaged, its checksum right."""
-    content = mutated(data[: data.rindex(b"checksum: ")], rng).decode("utf-8", "replace")
-    return with_checksum_line(content if content.endswith("\n") else content + "\n").encode()
-
-
-def in_group(data: bytes, rng: np.random.Generator) -> bytes:
-    """A part's `zarr.json` damaged, its checksum right."""
-    content = mutated(re.sub(rb'"checksum": "[^"]*"', b'"checksum": ""', data), rng).decode("utf-8", "replace")
-    return content.replace('"checksum": ""', f'"checksum": "{checksum(content)}"', 1).encode()
-
-
-def in_checked(data: bytes, rng: np.random.Generator) -> bytes:
-    """A chunk damaged, or the index of a shard, their checksums right."""
-    return with_checksum(mutated(data[:-4], rng))
-
-
-# -------------------------------------------------------------------------------------------------------- sound files
-
-
-def mesh(path: Path) -> None:
-    read_mesh(path, up_axis="y", front_axis="z", unit="m")
-
-
-def load(folder: Path) -> None:
-    open_dataset(folder, missing="ignore").load()
-
-
-def itop_arrays(path: Path) -> None:
-    read_itop_frames(path)
-    read_itop_reference(path)
-
-
-def exported(kind: str) -> Callable[[Path], bytes]:
-    def make(folder: Path) -> bytes:
-        path = folder / f"sound.{kind}"
-        trimesh.creation.box((1.8, 1.3, 4.2)).export(path)
-        return path.read_bytes()
-
-    return make
-
-
-def recording(folder: Path) -> bytes:
-    path = folder / "sound.mcap"
-    path.unlink(missing_ok=True)
-    take = Take.model_validate({"action": "sit", "subjects": [{"code": "S01"}]})
-    with RecordingWriter(path, take, started_ns=1000, chunking=Chunking(sync_s=0, flush_s=1e9, definitions_s=1e9)) as writer:
-        for host_ns, device_ns, message in rows(SegmentPoses, Channels, Facts, frames=4):
-            writer.write("suit", Sample(None, host_ns + 1000, device_ns, b"raw", (message,)))
-    return path.read_bytes()
-
-
-def read_recording(path: Path) -> None:
-    survey(path)
-    with Recording(path, damaged="skip") as opened:
-        for _ in opened.samples():
-            pass
-    out = path.with_name("recovered.mcap")
-    out.unlink(missing_ok=True)
-    recover(path, out)
-
-
-def imported(name: str) -> Read:
-    def read(path: Path) -> None:
-        import_recording(path, name, path.with_name("imported.mcap"), overwrite=True)
-
-    return read
 
 
 def of_folder(make: Callable[[Path], Path], name: str, read: Callable[[Path], object], repack: Repack | None = None) -> Foreign:
@@ -299,58 +116,6 @@ def of_folder(make: Callable[[Path], Path], name: str, read: Callable[[Path], ob
     return Foreign(Path(name).suffix or ".bin", sound, reading, repack=repack)
 
 
-def dataset(folder: Path) -> Path:
-    manifest = sphere_people.manifest(frames=2, frames_per_part=2, width=16, height=12)
-    shutil.rmtree(folder, ignore_errors=True)
-    return Path(sphere_people.write(folder, manifest))
-
-
-def frames_of(kind: str, **options: Any) -> Callable[[Path], None]:
-    def read(path: Path) -> None:
-        source = open_source(path, kind, **options)
-        for _ in source.frames():
-            pass
-
-    return read
-
-
-def itop(folder: Path) -> Path:
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.parent.mkdir(exist_ok=True, parents=True)
-    return itop_folder(folder)
-
-
-def coco(folder: Path) -> Path:
-    folder.mkdir(exist_ok=True, parents=True)
-    coco_file(folder / "people.json")
-    return folder
-
-
-def saved(**arrays: Any) -> Callable[[Path], bytes]:
-    def make(_: Path) -> bytes:
-        file = io.BytesIO()
-        np.savez_compressed(file, **arrays)
-        return file.getvalue()
-
-    return make
-
-
-def predictions(folder: Path) -> bytes:
-    shape = (3, 1, 2)
-    found = Predictions(
-        frame=np.arange(3), persons=("driver",), joints=("head", "neck"), model="m", joints_2d=np.ones((*shape, 2), np.float32),
-        joints_3d=np.ones((*shape, 3), np.float32), score=np.ones(shape, np.float32), presence=np.ones(shape, np.float32),
-        expected_error_m=np.full(shape, np.nan, np.float32),
-    )  # fmt: skip
-    path = folder / "sound.jsonl"
-    write_predictions(path, found, overwrite=True)
-    return path.read_bytes()
-
-
-def text(value: Any) -> Callable[[Path], bytes]:
-    return lambda _: yaml.safe_dump(value).encode()
-
-
 def always(read: Read) -> Callable[[Path], Read]:
     return lambda _: read
 
@@ -363,7 +128,32 @@ OF_NO_METHOD = {"cabinpose": np.frombuffer(b"{}", np.uint8), "a": np.eye(3)}
 STYLE = {"depth_m": np.ones((64, 64), np.float32), "regions": np.zeros((64, 64), np.uint8)}
 WHOLE = {"depth01": DEPTH, "joints_3d": np.ones((1, 15, 3)), "frame": np.arange(1)}
 
+LENS = {"width": 16, "height": 12, "fx": 12.0, "fy": 12.0, "cx": 7.5, "cy": 5.5}
+CALIBRATION = {
+    "intrinsics": LENS, "extrinsics": {"camera_from_world": np.eye(4).tolist()}, "tof_to_optical": {"offset_s": 0.1},
+    "heads": {"S01": {"object_from_head": np.eye(4).tolist(), "suit_to_optical": {"offset_s": 0.0, "interval_s": [0.0, 0.1]}}},
+}  # fmt: skip
+SESSION = {
+    "board": {"columns": 9, "rows": 6, "square_m": 0.06}, "board_take": "a.mcap", "pendulum_take": "b.mcap",
+    "subjects": {"S01": {"take": "c.mcap", "head_offset_m": [0.0, 0.1, 0.2]}}, "vehicle_from_world": np.eye(4).tolist(),
+}  # fmt: skip
+LAYOUT = {
+    "streams": [
+        {
+            "stream": "tof", "camera": {name: LENS[name] for name in ("fx", "fy", "cx", "cy")},
+            "fields": [
+                {"field": "t", "type": "tUInt64", "gives": "time", "unit": "us"},
+                {"field": "d", "type": "tUInt16", "size": [12, 16], "gives": "depth", "unit": "mm"},
+            ],
+        }
+    ]
+}  # fmt: skip
+PARTS = {"pixel_m": 0.04, "cell_px": 2, "filter_cells": 3, "mixtures": 2, "limb_parts": False, "rounds": 1, "negatives": 1.0}
+WALKS = {"samples": 3, "features": 8, "steps": 8, "skipped": 2}
+
 LENGTHS = {"c3d": of_c3d, "xdf": of_xdf, "azure-mkv": of_mkv, "rosbag2": of_mcap}
+
+TICAM = "../Train_labels/Train_Labels/one/p01"
 
 
 def _recordings() -> Iterator[tuple[str, Foreign]]:
@@ -375,34 +165,91 @@ def _recordings() -> Iterator[tuple[str, Foreign]]:
             (content,) = originals(name, folder / "made").values()
             return content
 
-        yield name, Foreign(ending(name), make, always(imported(name)), LENGTHS.get(name, lambda _: []))
+        yield name, Foreign(ending(name), make, always(made.imported(name)), LENGTHS.get(name, lambda _: []))
+
+
+def ticam(name: str, repack: Repack | None = None) -> Foreign:
+    return of_folder(made.ticam, name, made.frames_of("ticam"), repack)
+
+
+def png_json(name: str, repack: Repack | None = None) -> Foreign:
+    return of_folder(made.shown_as("png-json"), name, made.frames_of("png-json"), repack)
+
+
+def yaml_file(value: Any, read: Read) -> Foreign:
+    return Foreign(".yaml", made.text(value), always(read))
+
+
+def arrays(make: Callable[[Path], bytes], read: Read, *, refused: bool = False) -> Foreign:
+    return Foreign(".npz", make, always(read), of_zip, in_zip, refused)
+
+
+def packaged(name: str, read: Read, *, refused: bool = False) -> Foreign:
+    return Foreign(".onnx", lambda _: packaged_models()[name].read_bytes(), always(read), of_onnx, refused=refused)
 
 
 READERS: Mapping[str, Foreign] = MappingProxyType(
     dict(_recordings())
     | {
-        "mcap": Foreign(".mcap", recording, always(read_recording), of_mcap, in_chunk),
-        "glb": Foreign(".glb", exported("glb"), always(mesh), of_glb, in_glb),
-        **{kind: Foreign(f".{kind}", exported(kind), always(mesh)) for kind in ("ply", "stl", "obj")},
-        "onnx": Foreign(".onnx", lambda _: packaged_models()["lift"].read_bytes(), always(OnnxModel), of_onnx),
-        "npz model": Foreign(".npz", saved(**OF_NO_METHOD), always(ArrayModel), of_zip, in_zip),
-        "npz frames": Foreign(".npz", saved(**WHOLE), always(itop_arrays), of_zip, in_zip),
-        "npz style": Foreign(".npz", saved(**STYLE), always(StyleFrame.read), of_zip, in_zip),
-        "h5 labels": of_folder(itop, "ITOP_side_train_labels.h5", frames_of("itop")),
-        "h5 depth": of_folder(itop, "ITOP_side_train_depth_map.h5", frames_of("itop")),
-        "coco": of_folder(coco, "people.json", lambda folder: frames_of("coco")(folder / "people.json")),
-        "dataset.yaml": of_folder(dataset, "dataset.yaml", load, in_manifest),
-        "zarr.json": of_folder(dataset, "part-00000.zarr/zarr.json", load, in_group),
-        "zarr depth": of_folder(dataset, "part-00000.zarr/depth/c/0/0/0", load, in_checked),
-        "zarr names": of_folder(dataset, "part-00000.zarr/joint/c/0", load, in_checked),
-        "predictions": Foreign(".jsonl", predictions, always(read_predictions)),
-        "rig": Foreign(".yaml", text(RIG), always(load_rig)),
-        "take": Foreign(".yaml", text(RIG["take"]), always(load_take)),
-        "car": Foreign(".yaml", text(CAR), always(read_car_file)),
-        "configuration": Foreign(".yaml", text(CONFIG), always(SynthConfig.load)),
-        "splits": Foreign(".yaml", text({"train": {"subject": ["S1"]}, "test": {"subject": ["S2"]}}), always(read_splits)),
+        "mcap": Foreign(".mcap", made.recording, always(made.read_recording), of_mcap, in_chunk),
+        "glb": Foreign(".glb", made.exported("glb"), always(made.mesh), of_glb, in_glb),
+        "gltf": Foreign(".gltf", made.gltf, always(made.mesh)),
+        **{kind: Foreign(f".{kind}", made.exported(kind), always(made.mesh)) for kind in ("ply", "stl", "obj")},
+        "clip mvnx": Foreign(".mvnx", lambda folder: originals("mvnx", folder)["file"], always(made.clip)),
+        "clip bvh": Foreign(".bvh", lambda folder: originals("bvh", folder)["file"], always(made.clip)),
+        "source replay": Foreign(".mcap", made.filmed, always(made.played("replay")), of_mcap, in_chunk),
+        "source azure_mkv": Foreign(
+            ".mkv", lambda folder: originals("azure-mkv", folder)["frames"], always(made.played("azure_mkv")), of_mkv
+        ),
+        "onnx": packaged("lift", OnnxModel),
+        "onnx style": packaged("lift", open_network, refused=True),
+        "onnx weights": packaged("lift", made.exported_weights, refused=True),
+        "checkpoint": Foreign(".ckpt", made.checkpoint, always(made.read_weights_of), of_zip, in_zip),
+        "vgg19": Foreign(".pth", made.checkpoint, always(made.of_vgg), of_zip, in_zip, refused=True),
+        "npz model": arrays(made.saved(**OF_NO_METHOD), ArrayModel, refused=True),
+        "npz walks": arrays(made.fitted("walks", **WALKS), made.find),
+        "npz dpm": arrays(made.fitted("dpm", **PARTS), made.find),
+        "npz frames": arrays(made.saved(**WHOLE), made.itop_arrays),
+        "npz style": arrays(made.saved(**STYLE), StyleFrame.read),
+        "npz truth": arrays(made.truth, Truth.load),
+        "itop labels": of_folder(made.itop, "ITOP_side_train_labels.h5", made.frames_of("itop")),
+        "itop depth": of_folder(made.itop, "ITOP_side_train_depth_map.h5", made.frames_of("itop")),
+        "coco": of_folder(made.coco, "people.json", lambda folder: made.frames_of("coco")(folder / "people.json")),
+        "coco pictures": of_folder(made.pictures, "2.png", made.of_pictures),
+        "coco masks": of_folder(made.shown_as("coco", images="depth16"), made.ANNOTATIONS, made.frames_of("coco")),
+        "coco-labels": Foreign(".json", made.labelled, made.corrected),
+        "ntu": of_folder(made.ntu, f"{CLIP}.skeleton", made.frames_of("ntu")),
+        "ntu depth": of_folder(made.ntu, f"{CLIP}/Depth-00000002.png", made.frames_of("ntu"), in_png),
+        "ticam depth": ticam("Depth/one/p01/one-p01_000011_x_DEPTH.png", in_png),
+        "ticam mask": ticam(f"{TICAM}/masks_depth/one-p01_000011_x_DEPTH_classes.png", in_png),
+        "ticam boxes": ticam(f"{TICAM}/boxes_2d_depth.csv"),
+        "ticam activities": ticam(f"{TICAM}/activities.csv"),
+        "png-json": png_json("dataset.json"),
+        "png-json classes": png_json("labels.json"),
+        "png-json pose": png_json("pose/00000001.json"),
+        "png-json labels": png_json("labels/00000001.png", in_png),
+        "dataset.yaml": of_folder(made.dataset, "dataset.yaml", made.load, in_manifest),
+        "zarr.json": of_folder(made.dataset, "part-00000.zarr/zarr.json", made.load, in_group),
+        "zarr depth": of_folder(made.dataset, "part-00000.zarr/depth/c/0/0/0", made.load, in_checked),
+        "zarr names": of_folder(made.dataset, "part-00000.zarr/joint/c/0", made.load, in_checked),
+        "journal": Foreign(".jsonl", made.journal, always(made.read_journal)),
+        "predictions": Foreign(".jsonl", made.predictions, always(read_predictions)),
+        "predictions parquet": Foreign(".parquet", made.parquet, always(read_predictions)),
+        "classes zarr.json": of_folder(made.class_images, "zarr.json", made.read_classes),
+        "classes labels": of_folder(made.class_images, "labels/zarr.json", made.read_classes),
+        "classes chunk": of_folder(made.class_images, "labels/c/0/0/0", made.read_classes),
+        "rig": yaml_file(RIG, load_rig),
+        "take": yaml_file(RIG["take"], load_take),
+        "car": yaml_file(CAR, read_car_file),
+        "configuration": yaml_file(CONFIG, SynthConfig.load),
+        "training": Foreign(".yaml", made.training, always(made.read_training)),
+        "splits": yaml_file({"train": {"subject": ["S1"]}, "test": {"subject": ["S2"]}}, read_splits),
+        "calibration": yaml_file(CALIBRATION, Calibration.load),
+        "session": yaml_file(SESSION, Session.load),
+        "laboratory": yaml_file(VirtualRig().model_dump(mode="json"), load_laboratory),
+        "layout": yaml_file(LAYOUT, AdtfLayout.load),
     }
-)  # fmt: skip
+)
 
 
 def borne(name: str, folder: Path, *, count: int, seed: int) -> Survived:
@@ -414,7 +261,7 @@ def borne(name: str, folder: Path, *, count: int, seed: int) -> Survived:
     read = foreign.read(folder)
     sound = folder / f"sound{foreign.suffix}"
     sound.write_bytes(data)
-    with suppress(ModelError) if name == "npz model" else nullcontext():  # of no method
+    with suppress(ModelError) if foreign.refused else nullcontext():
         read(sound)
     return survive(
         read, data, folder / "damaged", foreign.suffix, count=count, seed=seed, most_mb=2000,
@@ -424,18 +271,22 @@ def borne(name: str, folder: Path, *, count: int, seed: int) -> Survived:
 
 def main() -> None:
     """Print what came of damaged files."""
-    count, names = int(sys.argv[1]), sys.argv[2:] or list(READERS)
-    seed = 33
-    for name in names:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("count", type=int)
+    parser.add_argument("names", nargs="*", default=list(READERS))
+    parser.add_argument("--seed", type=int, default=33)
+    given = parser.parse_args()
+    for name in given.names:
         began = time.monotonic()
         with TemporaryDirectory() as folder:
             try:
-                found: Any = vars(borne(name, Path(folder), count=count, seed=seed))
+                found: Any = vars(borne(name, Path(folder), count=given.count, seed=given.seed))
             except AssertionError as problem:
                 kept = Path(gettempdir()) / f"not-borne-{name.replace(' ', '-')}{READERS[name].suffix}"
                 shutil.copyfile(Path(folder) / "damaged" / f"damaged{READERS[name].suffix}", kept)
                 found = {"not borne": str(problem), "kept": str(kept)}
-        sys.stdout.write(json.dumps({"reader": name, "files": count, "seed": seed, "s": time.monotonic() - began} | found) + "\n")
+        row = {"reader": name, "files": given.count, "seed": given.seed, "s": time.monotonic() - began} | found
+        sys.stdout.write(json.dumps(row) + "\n")
         sys.stdout.flush()
 
 

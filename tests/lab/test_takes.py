@@ -11,6 +11,7 @@ from cabinpose.app.lab.optical import MODEL_SEGMENTS
 from cabinpose.app.lab.rig import Device, VirtualRig
 from cabinpose.app.lab.takes import Actor, Truth, truth_path, write_action_take, write_head_take, write_motion_take
 from cabinpose.core.camera import Camera
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import apply, invert
 from cabinpose.core.skeleton import CABINPOSE, MVN_SEGMENTS
 from cabinpose.scene.sensor import Sensor, sensor_by_name
@@ -23,6 +24,35 @@ SMALL: Sensor = sensor_by_name("evk75023").model_copy(update={"camera": Camera.f
 
 def generator(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(seed))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"rig": None}, "it has no rig"),
+        ({"hands": np.zeros((2, 4))}, r"hands is float64 \(2, 4\), which does not fit"),
+        ({"tof_ns": np.zeros(5, np.int64)}, "joints_3d is .*, which does not fit"),
+        ({"actions": np.zeros(2)}, "actions is float64"),
+        ({"windows": np.array([{}], object)}, "windows.npy holds Python objects"),
+        ({"suit_position": np.zeros((2, 23, 3), "S1")}, "suit_position is"),
+    ],
+)
+def test_a_damaged_truth_is_told(changed: dict[str, np.ndarray | None], said: str, tmp_path: Path) -> None:
+    path, eye = tmp_path / "take.truth.npz", np.eye(4)
+    values = {
+        "suit_ns": np.arange(2), "optical_ns": np.arange(3), "tof_ns": np.arange(2), "suit_position": np.zeros((2, 23, 3)),
+        "suit_orientation_wxyz": np.zeros((2, 23, 4)), "world_from_object": np.zeros((3, 4, 4)),
+        "object_seen": np.ones((3, 5), bool), "joints_3d": np.zeros((2, 20, 3)), "joints_2d": np.zeros((2, 20, 2)),
+        "visibility": np.zeros((2, 20), np.uint8), "camera_from_world": eye, "world_from_scene": eye, "suit_from_world": eye,
+        "object_from_head": eye, "hands": np.zeros((2, 3)), "windows": np.array([], np.str_),
+        "window_ns": np.zeros((0, 2), np.int64), "actions": np.array(["a", "b"]), "rig": np.array("{}"),
+    }  # fmt: skip
+    np.savez(path, **values)
+    assert Truth.load(path).rig == "{}"
+    np.savez(path, **{name: value for name, value in (values | changed).items() if value is not None})
+    with pytest.raises(ConfigError, match=said) as told:
+        Truth.load(path)
+    assert "cabinpose lab" in told.value.hint
 
 
 def transforms(series: SegmentSeries, name: str) -> np.ndarray:

@@ -30,7 +30,7 @@ from cabinpose.core.errors import CabinposeError
 NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 62, (1 << 64) - 1)
 _WORDS = (
     b"nan", b"inf", b"-1", b"1e308", b"99999999999999999999", b"9" * 5000, b"", b"\x00", "²".encode(), b"0x10", b"1_0", b"e",
-    b"\xff\xfe",
+    b"\xff\xfe", b"[" * 20_000,
 )  # fmt: skip
 _TOKEN = re.compile(rb"-?\d[\d.eE+-]*")
 _MOST_MB = 400  # that a reader may need beyond what there was

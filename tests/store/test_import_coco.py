@@ -217,7 +217,9 @@ RUN = {"size": [120, 150], "counts": [100, 17900]}
         (changed_person(keypoints=["a"] * 51), "annotations 1 is not COCO's"),
         (without("image_id"), "annotations 1 is not COCO's"),
         (changed_person(segmentation=RUN | {"counts": [5]}), "annotations 1 is not COCO's"),
+        (changed_person(segmentation=RUN | {"counts": [100, 1 << 40]}), "annotations 1 is not COCO's"),
         (changed_person(image_id=77), "annotations are of the image 77"),
+        (lambda data: data["images"][0].update(width=60_000, height=60_000), "has images of 60000x60000 pixels"),
     ],
 )
 def test_damaged_files(tmp_path: Path, damage: Callable[[dict[str, Any]], None], message: str) -> None:
@@ -244,6 +246,14 @@ def test_what_is_no_whole_file(tmp_path: Path, break_it: Callable[[bytes], bytes
         imported(path, tmp_path / "out")
     assert error.value.hint
     assert [p.name for p in tmp_path.iterdir()] == ["coco"]
+
+
+def test_brackets_that_nest_deep_take_no_memory(tmp_path: Path) -> None:
+    """ijson would take a gigabyte for 20 000 of them, 25 for 100 000."""
+    path = written(tmp_path / "coco", by_hand())
+    path.write_text('{"info": ' + "[" * 100_000)
+    with pytest.raises(DatasetError, match="nested too deep"):
+        open_source(path, "coco")
 
 
 def test_a_list_is_no_coco_file(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,17 @@ from numpy.typing import NDArray
 
 from cabinpose.app.report.raster import write_curves
 from cabinpose.app.training import read_train_config, stored_frames
-from cabinpose.core import ITOP, ConfigError, DatasetError, FrameBatch, make_folder, unknown_name, whole_file, write_whole
+from cabinpose.core import (
+    ITOP,
+    ConfigError,
+    DatasetError,
+    FrameBatch,
+    make_folder,
+    read_arrays,
+    unknown_name,
+    whole_file,
+    write_whole,
+)
 from cabinpose.estimate import METHODS, load_model
 from cabinpose.evaluate import BATCH, EvaluationOptions, Report, evaluate_itop, frame_batch
 from cabinpose.store import (
@@ -174,10 +185,10 @@ def answers(model_file: Path, test: Test, file: Path, progress: Callable[[int], 
     if model.joints != ITOP.joints or len(model.persons) != 1:
         raise ConfigError(f"{model_file} does not find ITOP's joints of one person", hint="train it with skeleton or body: itop")
     key = f"{hashlib.sha256(model_file.read_bytes()).hexdigest()} {test.key}"
-    if file.exists():
-        with np.load(file) as known:
-            if str(known["key"]) == key:
-                return Answers(known["joints_3d"], float(known["cpu_s"]))
+    with suppress(OSError, KeyError, ValueError):  # none yet, or a damaged one, which is made again
+        known = read_arrays(file)
+        if str(known["key"]) == key:
+            return Answers(known["joints_3d"], float(known["cpu_s"]))
     count, found = len(test.reference.frame), []
     for start in range(0, count, BATCH):
         poses = model.predict(test.batch(slice(start, start + BATCH)))

@@ -47,6 +47,8 @@ from .intrinsics import fit_camera as fit_camera
 from .intrinsics import fit_lens as fit_lens
 from .intrinsics import pixel_error as pixel_error
 from .onnx_file import check_onnx as check_onnx
+from .onnx_file import open_onnx as open_onnx
+from .onnx_file import run_onnx as run_onnx
 from .ports import IMAGES as IMAGES
 from .ports import POSE_ARRAYS as POSE_ARRAYS
 from .ports import FrameBatch as FrameBatch

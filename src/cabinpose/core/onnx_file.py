@@ -1,19 +1,26 @@
-"""What an ONNX file claims, before a runtime believes it: tensors against their bytes, and no operator that may never end.
+"""ONNX files of others, within bounds: what one claims, before a runtime believes it, and the memory that it may take.
 
-An ONNX file is a Protocol Buffers message; of its fields (onnx.proto, numbers below) those that matter here are read, without
-making anything of them.
+Tensors are held against their bytes, and there is no operator that may never end. An ONNX file is a Protocol Buffers message;
+of its fields (onnx.proto, numbers below) those that matter here are read, without making anything of them.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core.errors import ModelError
 
 _LARGEST = 2 << 30  # bytes of a message
+_ROOM = 2 << 30  # bytes that the tensors of all models of a process may take together; in_car takes 55 MB for 16 frames
 _SHAPED = ("ConstantOfShape", "Expand", "Tile")  # their last input says how much memory they take
 _MOST_NUMBERS = 1 << 28
 _FLOATS = {1: "<f4", 10: "<f2", 11: "<f8"}  # TensorProto.DataType
@@ -47,6 +54,45 @@ def check_onnx(path: Path) -> int:
             found.graph(_message(value), node=_FUNCTION_NODE)
     found.check_shapes()
     return found.nan
+
+
+def open_onnx(path: Path, *, threads: int) -> Any:
+    """An `onnxruntime.InferenceSession` on the CPU, told to be quiet, whose runs fail where tensors would take more than 2 GB.
+
+    What a file's operators make may depend on what they are given, so that nothing tells it before. All sessions of a process
+    share the room, as much of it as they have needed so far.
+    """
+    runtime = importlib.import_module("onnxruntime")
+    _set_room()
+    options = runtime.SessionOptions()
+    options.log_severity_level = 4
+    options.intra_op_num_threads = threads
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    return runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+
+@cache
+def _set_room() -> None:
+    """Bound the memory of all sessions to come, once a process."""
+    runtime = importlib.import_module("onnxruntime")
+    kind, of = runtime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, runtime.OrtMemType.DEFAULT
+    runtime.create_and_register_allocator(runtime.OrtMemoryInfo("Cpu", kind, 0, of), runtime.OrtArenaCfg({"max_mem": _ROOM}))
+
+
+def run_onnx(session: Any, path: Path, names: Sequence[str], inputs: Mapping[str, NDArray[Any]]) -> list[NDArray[Any]]:
+    """A model's outputs by name for a batch, in halves where that fails as a whole. Raises ModelError where it fails for one."""
+    try:
+        outputs: list[NDArray[Any]] = session.run(names, inputs)
+    except Exception as error:  # ONNX Runtime's own errors share no base class
+        count = min(len(array) for array in inputs.values())
+        if count > 1:
+            halves = slice(0, count // 2), slice(count // 2, None)
+            parts = [run_onnx(session, path, names, {name: a[half] for name, a in inputs.items()}) for half in halves]
+            return [np.concatenate(pair) for pair in zip(*parts, strict=True)]
+        why = str(error).rpartition(") ")[2].strip()
+        hint = f"models may take {_ROOM >> 30} GB while they run; export it again, or take another"
+        raise ModelError(f"{path} cannot be run: {why}", hint=hint) from error
+    return outputs
 
 
 @dataclass

@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError, check_onnx
+from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError, check_onnx, open_onnx, run_onnx
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, camera_of, channels_first
@@ -112,7 +112,7 @@ class OnnxModel(TrainedModel):
         empty = not any(len(array) for array in inputs.values())
         if empty:  # no network takes an empty batch
             inputs = {name: np.zeros((1, *array.shape[1:]), array.dtype) for name, array in inputs.items()}
-        values = self.session.run(self._outputs, inputs)
+        values = run_onnx(self.session, self.path, self._outputs, inputs)
         if empty:
             values = [value[:0] for value in values]
         elif not self._told and any(value.dtype.kind == "f" and np.isnan(value).all() for value in values):
@@ -130,11 +130,9 @@ def existing(path: Path | str) -> Path:
 
 
 def open_session(path: Path, *, threads: int | None = None) -> onnxruntime.InferenceSession:
-    """ONNX Runtime on the CPU with its own defaults, but for `threads` (default: one a core), and told to be quiet."""
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    options.intra_op_num_threads = threads or os.cpu_count() or 1
-    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    """ONNX Runtime as `open_onnx` has it; threads: one a core where it is not said."""
+    session: onnxruntime.InferenceSession = open_onnx(path, threads=threads or os.cpu_count() or 1)
+    return session
 
 
 def slices(count: int) -> list[slice]:

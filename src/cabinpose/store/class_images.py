@@ -7,6 +7,7 @@ a list of name and ids, the dataset's classes that belong to the part.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +17,15 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from cabinpose.core import DatasetError, FrameBatch, Part, PredictionsError, whole_folder
+from cabinpose.core import FrameBatch, Part, PredictionsError, whole_folder
 
 SUFFIX: Final = ".zarr"
 FORMAT: Final = "cabinpose-class-images"
 VERSION: Final = 1
 _CHUNK = 16  # frames
+_LARGEST_CHUNK = 1 << 28  # bytes, which are in memory at once
 _DESCRIBED = "docs/evaluation.md describes the format"
+_AGAIN = "the file may be cut short; write it again"
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,10 @@ class ClassImages:
         at = np.searchsorted(self.frame, frames["frame"])
         for image, number, place in zip(result, frames["frame"], at.tolist(), strict=True):
             if place < len(self.frame) and self.frame[place] == number:
-                image[...] = self.labels[place]
+                try:
+                    image[...] = self.labels[place]
+                except Exception as error:  # of codecs
+                    raise PredictionsError(f"{self.name}: frame {number} cannot be read: {error}", hint=_AGAIN) from error
         return result
 
 
@@ -98,7 +104,9 @@ def read_class_images(path: Path) -> ClassImages:
         if not isinstance(labels, zarr.Array):
             raise TypeError("labels are no array")
         name, dataset = str(attrs["model"]), attrs.get("dataset")
-    except (OSError, KeyError, TypeError, ValueError, zarr.errors.GroupNotFoundError, DatasetError) as error:
+    except PredictionsError:
+        raise
+    except Exception as error:  # of zarr, its codecs and types
         raise PredictionsError(f"{path} holds no label images that can be read: {error}", hint=_DESCRIBED) from error
     in_range = all(0 < number < 256 for part in parts for number in part.ids)
     if (
@@ -107,6 +115,7 @@ def read_class_images(path: Path) -> ClassImages:
         or labels.dtype != np.uint8
         or (np.diff(frame) <= 0).any()
         or not in_range
+        or math.prod(labels.chunks) > _LARGEST_CHUNK
     ):
         raise PredictionsError(
             f"{path}: {len(frame)} numbers of frames and labels {labels.shape} {labels.dtype} do not fit", hint=_DESCRIBED

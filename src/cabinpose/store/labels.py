@@ -234,7 +234,7 @@ def _parsed(path: Path, text: bytes, expected: dict[str, Any] | None) -> tuple[d
             label = _label(row)
             time, role, how, person, joint = (str(row[key]) for key in ("time", "role", "how", "person", "joint"))
             changes.append(Change(time, role, how, int(row["frame"]), person, joint, label))
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise DatasetError(f"{path}:{number}: no label ({error!r})", hint="mend or remove the line") from error
     return header, changes
 
@@ -245,7 +245,7 @@ def _lines(path: Path, text: bytes) -> Iterator[dict[str, Any]]:
             row = json.loads(line)
             if not isinstance(row, dict):
                 raise ValueError("not an object")
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise DatasetError(f"{path}:{number}: not a line of JSON", hint="mend or remove the line") from error
         yield row
 

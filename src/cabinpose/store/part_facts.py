@@ -50,7 +50,7 @@ def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
     for array in zarr_arrays(manifest, facts.frames):
         try:
             own = json.loads((path / array.name / "zarr.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json cannot be read", hint=hint) from error
         if own != arrays.get(array.name):
             raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json does not agree with zarr.json", hint=hint)
@@ -82,7 +82,7 @@ def _read(path: Path, hint: str) -> tuple[PartFacts, dict[str, Any]]:
             )
         facts = PartFacts.model_validate(group["attributes"])
         arrays: dict[str, Any] = dict(group["consolidated_metadata"]["metadata"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise DatasetError(f"{path.name} is damaged: its zarr.json cannot be read", hint=hint) from error
     if facts.checksum is not None and checksum(text.replace(facts.checksum, "", 1)) != facts.checksum:
         raise DatasetError(f"{path.name} is damaged: its zarr.json does not have the checksum that it states", hint=hint)

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsError, whole_file
+from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsError, check_claim, whole_file
 
 FORMAT: Final = "cabinpose-predictions"
 VERSION: Final = 1
@@ -30,6 +30,7 @@ _NUMBERS = ("u", "v", "x", "y", "z", "score", "presence", "expected_error_m")
 COLUMNS = ("frame", "person", "joint", *_NUMBERS)
 _HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset")
 _PARQUET_KEY = b"cabinpose"
+_ROW_BYTES = 8 * len(COLUMNS)  # of a table in memory
 _DESCRIBED = "docs/evaluation.md describes the format"
 
 
@@ -232,19 +233,39 @@ def _read_parquet(file: Path) -> tuple[dict[str, Any], Any]:
     if not file.is_file():
         raise FileNotFoundError(file)
     try:
-        table = parquet.read_table(file)
-    except pa.ArrowException as error:
+        head = parquet.read_metadata(file)
+        groups = [head.row_group(i) for i in range(head.num_row_groups)]
+        check_claim(file, max(_ROW_BYTES * head.num_rows, sum(group.total_byte_size for group in groups)))
+        table = parquet.read_table(file, read_dictionary=["person", "joint"])  # in which a long name stands once
+        metadata = table.schema.metadata or {}
+        header = json.loads(metadata.get(_PARQUET_KEY, b"null"))
+    except (pa.ArrowException, ValueError, RecursionError) as error:
         raise PredictionsError(
             f"{file} is no whole Parquet file ({error})", hint="the file may be cut short; write it again"
         ) from error
-    metadata = table.schema.metadata or {}
     if _PARQUET_KEY not in metadata:
         raise PredictionsError(f"{file} lacks the key 'cabinpose' in its metadata", hint=_DESCRIBED)
-    header = json.loads(metadata[_PARQUET_KEY])
     _check_header(file, header)
     _check_columns(str(file), table.column_names)
+    for name in ("frame", *_NUMBERS):
+        kind = table.column(name).type if name in table.column_names else pa.null()
+        if not (pa.types.is_primitive(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind)):
+            raise PredictionsError(f"{file}: the column {name} holds {kind}, no numbers", hint=_DESCRIBED)
     empty = [None] * table.num_rows
-    return {name: table.column(name).to_pylist() if name in table.column_names else empty for name in COLUMNS}, header
+    return {name: _values(table.column(name)) if name in table.column_names else empty for name in COLUMNS}, header
+
+
+def _values(column: Any) -> list[Any]:
+    """A column's values, each word of a dictionary made once."""
+    values: list[Any] = []
+    for chunk in column.chunks:
+        words = getattr(chunk, "dictionary", None)
+        if words is None:
+            values += chunk.to_pylist()
+        else:
+            of = words.to_pylist()
+            values += [None if i is None else of[i] for i in chunk.indices.to_pylist()]
+    return values
 
 
 # ----------------------------------------------------------------------------------------------------------- checks

@@ -22,7 +22,10 @@ Rows = tuple[Row, Row, Row, Row]
 
 def _rows(value: Any) -> Any:
     """A rigid transform as tuples, so that rigs can be compared, hashed and written as YAML."""
-    matrix = np.asarray(value, np.float64)
+    try:
+        matrix = np.asarray(value, np.float64)
+    except (TypeError, OverflowError) as error:
+        raise ValueError(f"not a transform: {error}") from error
     if not is_rigid(matrix):
         raise ValueError("not a rigid transform: 4 rows of 4, a rotation and a translation in metres, last row 0 0 0 1")
     return tuple(map(tuple, matrix.tolist()))

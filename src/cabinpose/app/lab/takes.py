@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -29,7 +30,7 @@ from cabinpose.app.lab.rig import Device, Source, VirtualRig
 from cabinpose.app.lab.scene import SceneCamera, message_of, world_from_room, world_from_vehicle
 from cabinpose.app.lab.suit import Wear, as_worn, hand_offset, put_on, steel_of, true_segments
 from cabinpose.app.lab.writing import samples, write_recording
-from cabinpose.core import JOINTS, MVN_SEGMENTS, Matrix, SceneError, apply, whole_file
+from cabinpose.core import JOINTS, MVN_SEGMENTS, ConfigError, Matrix, SceneError, apply, read_arrays, whole_file
 from cabinpose.scene import furnish_room
 from cabinpose.scene.body import Person
 from cabinpose.scene.sensor import Sensor
@@ -41,6 +42,7 @@ Times = NDArray[np.int64]
 
 CODE = "S01"
 POSE_S = 4.0  # length of the take of the N-pose
+_AGAIN = "`cabinpose lab` writes it beside each take; record the session again"
 _TRIES = 10  # motions of a passenger that are drawn before giving up
 
 
@@ -123,10 +125,40 @@ class Truth:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read what `save` wrote."""
-        with np.load(path) as file:
-            values: dict[str, Any] = {f.name: file[f.name] for f in fields(cls)}
+        """Read what `save` wrote. Raises ConfigError where the file is no such truth."""
+        try:
+            values: dict[str, Any] = read_arrays(path, [f.name for f in fields(cls)])
+            _check_shapes(values)
+        except OSError as error:
+            raise ConfigError(f"cannot read {path}: {error.strerror}", hint=_AGAIN) from error
+        except ValueError as error:
+            raise ConfigError(f"{path} is no truth of a take: {error}", hint=_AGAIN) from error
         return cls(**{**values, "rig": str(values["rig"])})
+
+
+# Shapes of a truth's arrays: a letter stands for the same number everywhere.
+_SHAPES: Mapping[str, tuple[int | str, ...]] = MappingProxyType(
+    {
+        "suit_ns": ("T",), "optical_ns": ("O",), "tof_ns": ("N",), "suit_position": ("T", 23, 3),
+        "suit_orientation_wxyz": ("T", 23, 4), "world_from_object": ("O", 4, 4), "object_seen": ("O", "M"),
+        "joints_3d": ("N", len(JOINTS), 3), "joints_2d": ("N", len(JOINTS), 2), "visibility": ("N", len(JOINTS)),
+        "camera_from_world": (4, 4), "world_from_scene": (4, 4), "suit_from_world": (4, 4), "object_from_head": (4, 4),
+        "hands": (2, 3), "windows": ("W",), "window_ns": ("W", 2), "actions": ("N",), "rig": (),
+    }
+)  # fmt: skip
+
+
+def _check_shapes(values: Mapping[str, NDArray[Any]]) -> None:
+    """Raise ValueError for an array that is missing, holds another kind of values, or does not fit the others."""
+    sizes: dict[int | str, int] = {}
+    for name, wanted in _SHAPES.items():
+        if name not in values:
+            raise ValueError(f"it has no {name}")
+        kinds, array = "U" if name in ("windows", "actions", "rig") else "iufb", values[name]
+        found = [sizes.setdefault(letter, size) for letter, size in zip(wanted, array.shape, strict=False)]
+        expected = [letter if isinstance(letter, int) else size for letter, size in zip(wanted, found, strict=False)]
+        if array.dtype.kind not in kinds or len(array.shape) != len(wanted) or list(array.shape) != expected:
+            raise ValueError(f"{name} is {array.dtype} {array.shape}, which does not fit")
 
 
 def truth_path(take: Path, code: str = "") -> Path:

@@ -96,7 +96,7 @@ class AzureFile:
             self.calibration = self._calibration()
             self.lens = rational_lens(self.calibration, self.mode)
             self.fit = fit_lens(self.lens, self.mode.width, self.mode.height, self.mode.field)
-        except (RecordingError, ValueError, KeyError, TypeError, IndexError) as error:
+        except (RecordingError, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
             self.close()
             if isinstance(error, RecordingError):
                 raise

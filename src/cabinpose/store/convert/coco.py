@@ -24,7 +24,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple, get_args
 
 import ijson
 import numpy as np
@@ -47,6 +47,9 @@ FLAG[Visibility.VISIBLE] = 2
 _STATES = np.array([Visibility.ABSENT, Visibility.OCCLUDED, Visibility.VISIBLE], np.uint8)  # by COCO's v
 _OURS = {name: name for name in CABINPOSE.index} | {theirs: ours for ours, theirs in CABINPOSE.maps["coco"].items()}
 _MOST_INSTANCES = 254  # of a uint8 that has 0 for nobody
+_DEEPEST = 1000  # brackets within each other; COCO has five. Those in names count, too
+_STEPS = np.zeros(256, np.int8)  # in depth, by byte
+_STEPS[list(b"[{")], _STEPS[list(b"]}")] = 1, -1
 _CAMERA = ("camera_k", "camera_dist", "vehicle_from_camera")
 _IMAGE_KEYS = ("id", "file_name", "width", "height", "car", "pov", *_CAMERA)  # what is kept of an image
 CocoImages = Literal["depth8", "amplitude8", "rgb", "depth16"]
@@ -310,7 +313,7 @@ def _read_file(path: Path) -> _File:
             elif key == "info" and isinstance(element, dict):
                 file.slots = tuple(map(str, element.get("slots", ())))
                 file.images_kind = str(element.get("images", {}).get("kind", ""))
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
             what = element.get("id") if isinstance(element, dict) else element
             raise DatasetError(f"{path}: {key.removesuffix('.item')} {what} is not COCO's ({error!r})", hint=_HINT) from error
     if not file.names:
@@ -323,6 +326,7 @@ def _elements(path: Path) -> Iterator[tuple[str, Any]]:
     """The elements of the lists of a COCO file, one in memory at a time, with what `ijson` calls their prefix."""
     try:
         with path.open("rb") as file:
+            _check_depth(path, file)
             for key in ("info", "licenses.item", "categories.item", "images.item", "annotations.item"):
                 file.seek(0)
                 for element in ijson.items(file, key, use_float=True):
@@ -332,6 +336,16 @@ def _elements(path: Path) -> Iterator[tuple[str, Any]]:
             f"{path} is no whole JSON object ({str(error).splitlines()[0].strip()})",
             hint="it may be cut short; copy it again, or give another file",
         ) from error
+
+
+def _check_depth(path: Path, file: BinaryIO) -> None:
+    """Raise DatasetError where brackets nest deep: ijson's memory grows with the square of the depth."""
+    depth = 0
+    while block := file.read(1 << 14):
+        depths = np.cumsum(_STEPS[np.frombuffer(block, np.uint8)], dtype=np.int32)
+        if depth + int(depths.max()) > _DEEPEST:
+            raise DatasetError(f"{path} is nested too deep", hint=_HINT)
+        depth += int(depths[-1])
 
 
 def _add_image(file: _File, element: Mapping[str, Any]) -> None:

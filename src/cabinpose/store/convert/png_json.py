@@ -61,7 +61,7 @@ class PngJsonFormat(DatasetFormat):
                 labels=folder.rows if "labels" in folder.images else (),
                 config={"exported_from": str(shared["generator"])},
             )
-        except (KeyError, IndexError, TypeError, ValueError) as error:  # pydantic's errors are ValueErrors
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # pydantic's errors are ValueErrors
             raise DatasetError(f"{path}: dataset.json or labels.json is damaged ({error!r})", hint=_DAMAGED) from error
         return Source(path, manifest, lambda: _frames(folder, manifest, stems, options))
 
@@ -213,7 +213,7 @@ def _frames(folder: _Folder, manifest: Manifest, stems: list[str], options: Impo
         frame = blank_frame(manifest)
         try:
             _fill(frame, read_json(file), manifest)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             raise DatasetError(f"{file} is no pose of this export ({error!r})", hint=_DAMAGED) from error
         if camera is not None:
             put_camera(frame, camera)

@@ -19,6 +19,7 @@ from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import UNKNOWN
 
 _MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
+_LARGEST_PX = 50_000_000  # of an image: every frame is filled up to the largest
 _FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
 
 
@@ -79,6 +80,8 @@ def make_manifest(
     name, path, options = origin
     if not frames:
         raise DatasetError(f"{path} holds no frame to import", hint="check the folder, and what the format leaves out")
+    if size[0] * size[1] > _LARGEST_PX:
+        raise DatasetError(f"{path} has images of {size[0]}x{size[1]} pixels", hint="no camera has so many; is it damaged?")
     images = [each for each in variables if VARIABLE[each].is_image]
     config = {"format": name, "source": path.name} | values.pop("config", {})
     if options.intrinsics is not None:
@@ -182,7 +185,7 @@ def read_json(path: Path) -> Any:
     """The content of a small JSON file; `DatasetError` where it is none."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"cannot read {path}: {error}", hint="it may be missing or cut short; copy it again") from error
 
 

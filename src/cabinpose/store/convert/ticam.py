@@ -39,6 +39,7 @@ from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 FIELD_DEG = 105.0  # of the undistorted images, across and down (Katrolia et al. 2021, section 3)
 CLIPPED_MM = 2550
+_FARTHEST_PX = 1 << 20  # that the edge of a box may lie outside of its image
 _FRAME_NS = 1e9 / 30
 _PLACES = ("driver", "front_passenger")
 _ROLES = {"driver": 0, "passenger": 1}
@@ -219,7 +220,9 @@ def _boxes(path: Path) -> dict[int, list[_Box]]:
     found: dict[int, list[_Box]] = {}
     for where, fields in _rows(path):
         try:
-            left, top, right, bottom = (int(field) for field in fields[2:6])
+            left, top, right, bottom = edges = [int(field) for field in fields[2:6]]
+            if max(map(abs, edges)) > _FARTHEST_PX:
+                raise ValueError("no edge of an image")
             box = _Box(_NUMBER[fields[1].lower()], left, top, right, bottom)
             found.setdefault(int(fields[0]), []).append(box)
         except (ValueError, KeyError, IndexError) as error:

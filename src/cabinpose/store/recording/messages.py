@@ -103,7 +103,7 @@ class Decoder:
                 return _poses(FrameTransforms.FromString(data), about)
             elif (kind := _JSON_KINDS.get(schema)) is not None:
                 return _from_json(kind, json.loads(bytes(data)))
-        except (ValueError, TypeError, KeyError, AttributeError, DecodeError) as error:
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError, DecodeError) as error:
             raise RecordingError(f"a record on {topic} is not a {schema}: {error}") from error
         return None
 
@@ -129,7 +129,7 @@ def decode_status(data: memoryview) -> SourceStatus:
         values = json.loads(bytes(data))
         # Files of earlier versions lack the later fields, which have defaults.
         return SourceStatus(**{field.name: values[field.name] for field in fields(SourceStatus) if field.name in values})
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise RecordingError(f"a record on status is no SourceStatus: {error}") from error
 
 
@@ -139,7 +139,7 @@ def decode_setup(data: memoryview) -> Mapping[str, Any] | None:
         facts = json.loads(bytes(data))
         values: Mapping[str, Any] = facts["values"]
         return values if facts["about"] == SETUP and isinstance(values, dict) else None
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         return None
 
 

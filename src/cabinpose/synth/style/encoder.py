@@ -12,13 +12,14 @@ from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
+from zipfile import is_zipfile
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cabinpose.core import ModelError
+from cabinpose.core import ModelError, check_archive
 
 CONTENT = ("conv2_1", "conv3_1")
 STYLE = MappingProxyType({"conv2_2": 0.7, "conv3_4": 0.25, "conv4_4": 0.05})  # weights: noise and edges are fine, scenes coarse
@@ -79,6 +80,8 @@ def vgg19(path: Path) -> Encoder:
     if not path.is_file():
         raise ModelError(f"there are no weights of VGG-19 at {path}", hint=hint)
     try:
+        if is_zipfile(path):
+            check_archive(path)
         state: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises whatever its unpickler does
         raise ModelError(f"{path} holds no weights that torch can read", hint=hint) from error

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 
-from cabinpose.core import Bools, Bytes, ConfigError, Floats32, ModelError, check_onnx, optional_module
+from cabinpose.core import Bools, Bytes, ConfigError, Floats32, ModelError, check_onnx, open_onnx, optional_module, run_onnx
 from cabinpose.synth.style.frame import StyleFrame, guides_of
 from cabinpose.synth.style.safety import LabelShift, label_shift, parts_of, without_part_means
 from cabinpose.synth.style.settings import LEFT, METADATA_KEY, Style
@@ -41,7 +40,7 @@ class FrameStyler:
             self._transfer = FrameOptimiser(frame, style.vgg19, style.steps)
         else:
             session = open_network(path)
-            self._transfer = lambda inputs: run_network(session, inputs)
+            self._transfer = lambda inputs: run_network(session, path, inputs)
 
     def take(
         self, depth: Floats32, depth_clean: Floats32, labels: Bytes, instance: Bytes, *, rng: np.random.Generator
@@ -81,14 +80,11 @@ def held(depth: Floats32, change: Floats32, kept: Bools, labels: Bytes, instance
     return styled, label_shift(depth, styled, labels, instance)
 
 
-def open_network(path: Path) -> onnxruntime.InferenceSession:
+def open_network(path: Path) -> Any:
     """A model of `cabinpose train-style` on one thread; ModelError for other files."""
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    options.intra_op_num_threads = 1  # frames are made in threads already, and the same bytes by any number of them
     try:
         check_onnx(path)
-        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        session = open_onnx(path, threads=1)  # frames are made in threads already, and the same bytes by any number of them
     except Exception as error:  # ONNX Runtime's own errors share no base class
         raise ModelError(f"{path} cannot be read as a model", hint=_TRAIN) from error
     if METADATA_KEY not in session.get_modelmeta().custom_metadata_map:
@@ -96,7 +92,7 @@ def open_network(path: Path) -> onnxruntime.InferenceSession:
     return session
 
 
-def run_network(session: onnxruntime.InferenceSession, inputs: dict[str, Floats32]) -> tuple[Floats32, Bools]:
+def run_network(session: Any, path: Path, inputs: dict[str, Floats32]) -> tuple[Floats32, Bools]:
     """The change (H, W), m, and the pixels that are kept."""
-    change, logit = session.run(["change", "logit"], inputs)
+    change, logit = run_onnx(session, path, ["change", "logit"], inputs)
     return change[0, 0], logit[0, 0] > 0
