@@ -79,6 +79,19 @@ def test_camera_comes_back_from_exact_corners():
     assert fit.held_out_rms_px < 1e-5
 
 
+def test_the_same_views_give_the_same_bits():
+    """OpenCV's threads would add the views in the order in which they are ready."""
+    views = [uv + np.random.default_rng(k).normal(0, 0.1, uv.shape) for k, uv in enumerate(_views(40, 4))]
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(4)
+    try:
+        fits = {repr(calibrate_from_corners(views, (352, 287), BOARD, holdout=0).camera) for _ in range(8)}
+        assert cv2.getNumThreads() == 4
+    finally:
+        cv2.setNumThreads(before)
+    assert len(fits) == 1
+
+
 def test_camera_comes_back_from_images():
     found = [corners_seen(k, True) for k in range(10)]
     fit = calibrate_from_corners(found, (352, 287), BOARD, holdout=0.3)

@@ -164,12 +164,16 @@ def _fit(corners: Sequence[F64 | None], used: list[int], size: tuple[int, int], 
     points = board.corners.astype(np.float32)
     seen = [np.asarray(corners[k], np.float32).reshape(-1, 1, 2) for k in used]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _MAX_ITERATIONS, 1e-12)
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # of several, each adds its views to a sum when it is ready: another order, other last digits
     try:
         _, k_matrix, dist, turns, shifts, std, _, _ = cv2.calibrateCameraExtended(
             [points] * len(used), seen, size, None, None, criteria=criteria
         )  # type: ignore[call-overload]
     except cv2.error as error:
         raise AlignmentError(f"the views determine no camera ({error.err})", hint="tilt the board between views") from error
+    finally:
+        cv2.setNumThreads(threads)
     k1, k2, p1, p2, k3 = (float(d) for d in np.ravel(dist)[:5])
     fx, fy, cx, cy = (float(k_matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     if not (np.isfinite((fx, fy, cx, cy, k1, k2, p1, p2, k3)).all() and fx > 0 and fy > 0):
