@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -300,6 +302,16 @@ def test_images_that_do_not_fit(tmp_path: Path, file: str, pixels: np.ndarray | 
         imported(path, tmp_path / "out")
     assert error.value.hint
     assert [p.name for p in tmp_path.iterdir()] == ["coco"]
+
+
+def test_an_image_takes_no_memory_for_what_it_claims(tmp_path: Path) -> None:
+    """7 000 x 8 000 pixels in 70 bytes, under right checksums."""
+    path = written(tmp_path / "coco", by_hand(), "depth")
+    chunks = {b"IHDR": struct.pack(">IIBBBBB", 7_000, 8_000, 16, 0, 0, 0, 0), b"IDAT": zlib.compress(bytes(9)), b"IEND": b""}
+    data = b"".join(struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c)) for k, c in chunks.items())
+    (tmp_path / "coco" / "images" / "b.png").write_bytes(b"\x89PNG\r\n\x1a\n" + data)
+    with pytest.raises(DatasetError, match="it claims 56000000 pixels"):
+        imported(path, tmp_path / "out")
 
 
 def test_masks_of_run_lengths(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from cabinpose.store.source import UNKNOWN
 
 _MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
 _LARGEST_PX = 50_000_000  # of an image: every frame is filled up to the largest
+_DENSEST = 1032 * 8  # pixels that a byte of a PNG can stand for: deflate's best, of 1 bit each
 _FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
 
 
@@ -159,6 +160,8 @@ def read_image(path: Path) -> NDArray[Any]:
     """A PNG or JPEG as it stands: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB. Raises `DatasetError`."""
     try:
         with Image.open(path) as image:
+            if (pixels := image.width * image.height) > min(_LARGEST_PX, _DENSEST * path.stat().st_size):
+                raise ValueError(f"it claims {pixels} pixels")  # before there is memory for them
             if image.mode.startswith("I"):  # 16 bits
                 return np.asarray(image).astype(np.uint16)
             return np.asarray(image if image.mode == "L" else image.convert("RGB"))
