@@ -186,7 +186,7 @@ def evaluate_predictions(
     if isinstance(model, Path | str):
         model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else open_predictor(model)
     if isinstance(model, Predictions):
-        check_predictions(model, dataset)
+        check_predictions(model, dataset, (name,) if name else ())
     elif not isinstance(model, Predictor):
         raise ConfigError(
             f"a {type(model).__name__} is no detector",

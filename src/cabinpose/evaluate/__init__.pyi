@@ -2,11 +2,15 @@ from .boxes import FOUND as FOUND
 from .boxes import Box as Box
 from .boxes import box_of as box_of
 from .boxes import boxes_by_range as boxes_by_range
+from .caveats import Caveats as Caveats
 from .itop import evaluate_itop as evaluate_itop
 from .itop import itop_summary as itop_summary
 from .metrics import METRICS as METRICS
 from .metrics import Metric as Metric
 from .metrics import Value as Value
+from .mistakes import MISTAKES as MISTAKES
+from .mistakes import Explanation as Explanation
+from .mistakes import Mistake as Mistake
 from .offline import BATCH as BATCH
 from .offline import check_predictions as check_predictions
 from .offline import common_joints as common_joints

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import cast
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from cabinpose.core import (
     CABINPOSE,
+    POSE_ARRAYS,
     SKELETONS,
     UNKNOWN_SET,
     DatasetError,
@@ -26,10 +28,13 @@ from cabinpose.core import (
     skeleton_of,
     unknown_name,
 )
+from cabinpose.evaluate.caveats import Caveats, Identity, remarks
+from cabinpose.evaluate.mistakes import Positions, Trial, explanations
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.report import Report, make_report
-from cabinpose.evaluate.samples import Samples, TruthChunk, collect
+from cabinpose.evaluate.samples import Samples, TruthChunk, collect, found_only
 from cabinpose.store import (
+    CHECKSUM_PREFIX,
     ClassImages,
     Predictions,
     camera_of,
@@ -42,6 +47,7 @@ from cabinpose.store import (
 
 CHUNK = 512  # frames of joints at a time
 BATCH = 16  # frames of images at a time, for a detector
+TRIAL_FRAMES = 600  # on which mistakes are tried
 
 Progress = Callable[[int], None]  # called with the number of frames done
 
@@ -112,11 +118,16 @@ def model_name(model: Predictions | Predictor | Segmenter) -> str:
 
 
 def check_predictions(predictions: Predictions | ClassImages, dataset: xr.Dataset, names: Sequence[str] = ()) -> None:
-    """Raise `PredictionsError` where predictions are of other frames, or name another dataset than one of `names`."""
-    if predictions.dataset is not None and names and predictions.dataset not in names:
+    """Raise `PredictionsError` where predictions are of other frames, or name another dataset than this one or one of `names`.
+
+    A folder's name that they state is held against nothing where `names` are not known.
+    """
+    known = dict.fromkeys([*names, *filter(None, [dataset.attrs.get("dataset_id")])])
+    named = predictions.dataset
+    if named is not None and known and named not in known and (names or named.startswith(CHECKSUM_PREFIX)):
         raise PredictionsError(
-            f"{model_name(predictions)}: the predictions are of the dataset '{predictions.dataset}'",
-            hint=f"this one is {' or '.join(names)}; give the right dataset, or write `dataset` as null",
+            f"{model_name(predictions)}: the predictions are of the dataset '{named}'",
+            hint=f"this one is {' or '.join(known)}; give the right dataset, or write `dataset` as null",
         )
     frames = dataset["frame"].values
     wrong = predictions.frame[~np.isin(predictions.frame, frames)]
@@ -162,15 +173,15 @@ def evaluate(
     Report
         Every number with unit, threshold, denominator, sample count and interval.
     """
-    samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons, progress=progress)
-    return make_report(samples, options, model_name(model), name, notes)
+    samples, caveats = samples_of(dataset, model, options, joints=joints, persons=persons, progress=progress)
+    return make_report(samples, options, model_name(model), name, caveats)
 
 
 def samples_of(
     dataset: xr.Dataset, model: Predictions | Predictor, options: EvaluationOptions, *, joints: Sequence[str] | None = None,
     persons: Sequence[str] | None = None, progress: Progress | None = None,
-) -> tuple[Samples, tuple[str, ...]]:  # fmt: skip
-    """The errors that `evaluate` reports on, of every person in every frame, and what there is to note; arguments as there."""
+) -> tuple[Samples, Caveats]:  # fmt: skip
+    """The errors that `evaluate` reports on, of every person in every frame, and what is to be known before them."""
     skeleton = common_skeleton(dataset, [model])
     if joints is not None:
         skeleton = skeleton.subset(joints)
@@ -181,21 +192,97 @@ def samples_of(
                 raise unknown_name("slot", place, [str(p) for p in dataset["person"].values])
         dataset, predicted = dataset.sel(person=list(persons)), tuple(p for p in model.persons if p in persons)
     true = [str(p) for p in dataset["person"].values]
-    chunks = _chunks(dataset, model, skeleton, predicted, progress or (lambda _: None))
+    kept: list[_Kept] = []
+    chunks = _keeping(_chunks(dataset, model, skeleton, predicted, progress or (lambda _: None)), kept, dataset.sizes["frame"])
     samples = collect(chunks, skeleton, true, predicted, options)
-    absent = int((~np.isin(samples.frames, model.frame)).sum()) if isinstance(model, Predictions) else 0
-    notes = []
+    return samples, _caveats(dataset, model, samples, kept, predicted, options)
+
+
+class _Kept(NamedTuple):
+    """Some frames of a chunk: their positions among all frames, truth and answers."""
+
+    place: NDArray[np.int64]
+    truth: TruthChunk
+    batch: PoseBatch
+
+
+def _keeping(
+    chunks: Iterable[tuple[TruthChunk, PoseBatch]], kept: list[_Kept], count: int
+) -> Iterator[tuple[TruthChunk, PoseBatch]]:
+    """The same chunks; about `TRIAL_FRAMES` of `count` frames, evenly spread, are kept."""
+    step, seen = -(-count // TRIAL_FRAMES), 0
+    for truth, batch in chunks:
+        rows = np.arange(-seen % step, len(truth.frame), step)
+        some = TruthChunk._make(each[rows] for each in truth)
+        kept.append(_Kept(seen + rows, some, PoseBatch(**{name: getattr(batch, name)[rows] for name in POSE_ARRAYS})))
+        seen += len(truth.frame)
+        yield truth, batch
+
+
+def _caveats(
+    dataset: xr.Dataset, model: Predictions | Predictor, samples: Samples, kept: Sequence[_Kept], persons: Sequence[str],
+    options: EvaluationOptions,
+) -> Caveats:  # fmt: skip
+    frames, skeleton = samples.frames, samples.skeleton
+    trial = _trial(dataset, model, skeleton, kept, tuple(persons), options)
+    notes = [*model.remarks] if isinstance(model, Predictions) else []
+    notes += remarks(joined([each.batch for each in kept]), trial.size, options.presence)
+    absent = int((~np.isin(frames, model.frame)).sum()) if isinstance(model, Predictions) else 0
     if absent:
-        notes.append(f"{absent} of {len(samples.frames)} frames are not in the predictions: all their joints count as missed")
+        notes.append(f"{absent} of {len(frames)} frames are not in the predictions: all their joints count as missed")
     if skeleton.definition != (stated := SKELETONS[skeleton.name].definition):
         notes.append(f"the dataset's joints are {skeleton.definition}; the set {skeleton.name} is {stated}")
-    return samples, tuple(notes)
+    return Caveats(len(frames), len(frames) - absent, identity_of(model, dataset), explanations(trial), tuple(notes))
+
+
+def _trial(
+    dataset: xr.Dataset, model: Predictions | Predictor, skeleton: Skeleton, kept: Sequence[_Kept], persons: tuple[str, ...],
+    options: EvaluationOptions,
+) -> Trial:  # fmt: skip
+    place = np.concatenate([each.place for each in kept])
+    by_slot = options.match == "slot"
+    slots = [str(p) for p in dataset["person"].values]
+    rows = [slots.index(name) for name in persons] if by_slot else list(range(len(slots)))
+
+    def of_truth(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(each.truth, name) for each in kept])[:, rows]
+
+    counts = (of_truth("visibility") >= options.min_visibility)[..., None]
+    true = Positions(np.where(counts, of_truth("joints_2d"), np.nan), np.where(counts, of_truth("joints_3d"), np.nan))
+
+    def found(answers: PoseBatch) -> Positions:
+        answers = found_only(answers, options.presence)
+        return Positions(answers.joints_2d.astype(np.float64), answers.joints_3d.astype(np.float64))
+
+    def at(numbers: NDArray[np.int64]) -> Positions:
+        assert isinstance(model, Predictions)
+        return found(_columns(model.take(numbers), model, skeleton, persons))
+
+    given, frame = found(joined([each.batch for each in kept])), np.concatenate([each.truth.frame for each in kept])
+    return Trial(
+        true, given, frame, place, persons, skeleton, (int(dataset.attrs["width"]), int(dataset.attrs["height"])),
+        dataset["vehicle_from_camera"].isel(frame=place).values, at if isinstance(model, Predictions) else None, by_slot,
+    )  # fmt: skip
+
+
+def identity_of(model: Predictions | Predictor, dataset: xr.Dataset) -> Identity:
+    """How it is known that answers are of a dataset, see `Caveats`; what contradicts it is refused by `check_predictions`."""
+    if not isinstance(model, Predictions):
+        return "run"
+    if model.dataset is None:
+        return "unchecked"
+    return "id" if model.dataset == dataset.attrs.get("dataset_id") else "name"
+
+
+def _columns(batch: PoseBatch, model: Predictions | Predictor, skeleton: Skeleton, persons: Sequence[str]) -> PoseBatch:
+    """A model's answers for some slots and joints, in their order."""
+    rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in skeleton.joints]
+    return batch.map(lambda values: values[:, rows][:, :, columns])
 
 
 def _chunks(
     dataset: xr.Dataset, model: Predictions | Predictor, skeleton: Skeleton, persons: Sequence[str], progress: Progress
 ) -> Iterator[tuple[TruthChunk, PoseBatch]]:
-    rows, columns = [model.persons.index(name) for name in persons], [model.joints.index(name) for name in skeleton.joints]
     count = dataset.sizes["frame"]
     step = CHUNK if isinstance(model, Predictions) else BATCH
     truth = truth_of(dataset, skeleton)
@@ -211,7 +298,7 @@ def _chunks(
         else:
             batch = model.predict(frame_batch(dataset, slice(start, start + step), images_of(model)))
             _check_shapes(batch, model, len(chunk.frame))
-        yield chunk, batch.map(lambda values: values[:, rows][:, :, columns])
+        yield chunk, _columns(batch, model, skeleton, persons)
         progress(min(start + step, count))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from cabinpose.core import CABINPOSE
 from cabinpose.evaluate.boxes import Boxes, boxes_by_range
+from cabinpose.evaluate.caveats import Caveats
 from cabinpose.evaluate.metrics import METRICS, Metric, Value
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.sample_view import ALL, ANY, IMAGE, SampleView, by_frames, sample_views
@@ -31,7 +32,7 @@ class Report:
     joint_sets: joints by name of the set · curves: by space and set, the share in per cent at each point of `grid`, for PCKh
     (of the head size) and for the error (px, cm) · calibration: see `_calibration` · boxes: by space, range of the error and
     joint (px, cm) · worst: numbers of the worst frames, worst first · typical: of those nearest to the median frame, best
-    first · settings: the options in words · skeleton: the set that the joints are of.
+    first · settings: the options in words · caveats: what is to be known before all that · skeleton: the joints' set.
     """
 
     model: str
@@ -46,8 +47,13 @@ class Report:
     worst: tuple[int, ...]
     typical: tuple[int, ...]
     settings: Mapping[str, Any]
-    notes: tuple[str, ...] = ()
+    caveats: Caveats
     skeleton: str = CABINPOSE.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What stands out in the answers, and what the dataset's joints are where they are others than usual."""
+        return self.caveats.notes
 
     def value(
         self, metric: str, space: str = "3d", joints: str = ALL, threshold: float | None = None, visibility: str = "any"
@@ -61,12 +67,17 @@ class Report:
         return None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; the set of joints is left out where it is the standard's own."""
-        return {name: value for name, value in asdict(self).items() if (name, value) != ("skeleton", CABINPOSE.name)}
+        """Plain data, with the notes by themselves; the set of joints is left out where it is the standard's own."""
+        told = {name: value for name, value in asdict(self).items() if (name, value) != ("skeleton", CABINPOSE.name)}
+        return told | {"notes": told["caveats"].pop("notes")}
 
 
-def make_report(samples: Samples, options: EvaluationOptions, model: str, dataset: str, notes: tuple[str, ...] = ()) -> Report:
+def make_report(
+    samples: Samples, options: EvaluationOptions, model: str, dataset: str, caveats: Caveats | tuple[str, ...] = ()
+) -> Report:
     """All numbers of one model's samples. Equal samples, options and seed give equal numbers.
+
+    caveats: what is to be known before them, or notes alone.
 
     A metric of another package that cannot be loaded, or that raises, is left out with a warning that names the package.
     """
@@ -91,7 +102,7 @@ def make_report(samples: Samples, options: EvaluationOptions, model: str, datase
         worst=ranked[:_SHOWN],
         typical=ranked[middle : middle + _SHOWN][::-1] if middle > 0 else (),  # few frames are all among the worst
         settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
-        notes=notes,
+        caveats=caveats if isinstance(caveats, Caveats) else Caveats(len(samples.frames), len(samples.frames), notes=caveats),
         skeleton=skeleton.name,
     )
 

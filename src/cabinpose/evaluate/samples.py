@@ -136,7 +136,7 @@ def _samples(
     frames, slots, _ = truth.visibility.shape
     box = _boxes(truth.joints_2d)  # (F, P, 4)
     sigma = np.array([*skeleton.sigma.values()])
-    given, batch = batch, _found_only(batch, options.presence)
+    given, batch = batch, found_only(batch, options.presence)
     if options.match == "slot":
         places = slot_places(frames, *persons)
     else:
@@ -194,7 +194,7 @@ def _samples(
     )
 
 
-def _found_only(batch: PoseBatch, presence: float) -> PoseBatch:
+def found_only(batch: PoseBatch, presence: float) -> PoseBatch:
     """The batch without the joints whose presence is too improbable."""
     out = (batch.presence < presence)[..., None]
     two, three = (np.where(out, np.float32(np.nan), x) for x in (batch.joints_2d, batch.joints_3d))

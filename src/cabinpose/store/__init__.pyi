@@ -35,6 +35,7 @@ from .predictions import check_new_predictions as check_new_predictions
 from .predictions import empty_batch as empty_batch
 from .predictions import read_predictions as read_predictions
 from .predictions import write_predictions as write_predictions
+from .schema import CHECKSUM_PREFIX as CHECKSUM_PREFIX
 from .schema import DEPTH_SCALE_M as DEPTH_SCALE_M
 from .schema import MANIFEST_NAME as MANIFEST_NAME
 from .schema import OPTIONAL as OPTIONAL

@@ -21,7 +21,7 @@ from xarray.core import indexing
 from cabinpose.core import DatasetError
 from cabinpose.store.frames import camera_from
 from cabinpose.store.part_facts import PartFacts, check_part
-from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, read_manifest, variable_attributes
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, dataset_id, read_manifest, variable_attributes
 from cabinpose.store.shard import read_frames, read_whole
 from cabinpose.store.zarr_metadata import dimension_labels
 
@@ -93,6 +93,7 @@ def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str,
         rejections.update(part.rejections)
     names = ("schema_version", "generator", "generator_version", "seed", "licence", "width", "height")
     return {name: getattr(manifest, name) for name in names} | {
+        "dataset_id": dataset_id(manifest),
         "planned_frames": manifest.frames,
         "parts_without_checksum": sum(part.checksum is None for part in parts),
         "skipped_frames": sum(len(part.skipped) for part in parts),

@@ -13,7 +13,7 @@ A joint without a row was not found: what the file leaves out counts as missed, 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,6 +31,9 @@ COLUMNS = ("frame", "person", "joint", *_NUMBERS)
 _HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset")
 _PARQUET_KEY = b"cabinpose"
 _ROW_BYTES = 8 * len(COLUMNS)  # of a table in memory
+_PROBABILITY = "give a number from 0 to 1: per cent divided by 100, a logit through the logistic function"
+_FILLERS = (0.0, -1.0)  # what tools write for a position that they do not have
+_MOST_FILLED = 2  # in the image; a corner's centre is a position as well. In space it is the lens, or behind it
 _DESCRIBED = "docs/evaluation.md describes the format"
 
 
@@ -38,7 +41,8 @@ _DESCRIBED = "docs/evaluation.md describes the format"
 class Predictions(PoseBatch):
     """The answers of one model: `PoseBatch`'s arrays over the frames numbered `frame` (F,) int64, in rising order.
 
-    persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it.
+    persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it · remarks: what
+    stood out in the file.
     """
 
     frame: NDArray[np.int64]
@@ -47,6 +51,7 @@ class Predictions(PoseBatch):
     model: str
     skeleton: str = "cabinpose"
     dataset: str | None = None
+    remarks: tuple[str, ...] = ()
 
     def take(self, frames: NDArray[np.int64]) -> PoseBatch:
         """The answers on the frames with the given numbers, in that order; frames without an answer are empty."""
@@ -326,7 +331,7 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
         getattr(batch, name)[f, p, j] = values[name]
     return Predictions(
         **vars(batch), frame=frame, persons=persons, joints=joints, model=header["model"],
-        skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"),
+        skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"), remarks=tuple(_remarks(columns)),
     )  # fmt: skip
 
 
@@ -364,8 +369,26 @@ def _check_values(file: Path, values: Mapping[str, NDArray[np.float32]]) -> None
         given = np.stack([np.isfinite(values[name]) for name in names])
         partial, some = given.any(axis=0) != given.all(axis=0), f" has some of {', '.join(names)}"
         _refuse(file, partial, lambda _, some=some: some, "give all of them or none")  # type: ignore[misc]
+        _refuse_fillers(file, names, np.stack([values[name] for name in names], axis=-1))
     neither = np.isnan(values["u"]) & np.isnan(values["x"])
     _refuse(file, neither, lambda _: " has no position", "give u and v, or x, y and z, or leave the row out")
     outside = (values["presence"] < 0) | (values["presence"] > 1)
-    _refuse(file, outside, lambda _: ": presence is a probability", "give a number from 0 to 1")
+    _refuse(file, outside, lambda row: f": presence is a probability, not {values['presence'][row]:g}", _PROBABILITY)
     _refuse(file, values["expected_error_m"] < 0, lambda _: ": expected_error_m is below 0", "give metres, or leave it out")
+
+
+def _refuse_fillers(file: Path, names: Sequence[str], positions: NDArray[np.float32]) -> None:
+    """Raise `PredictionsError` where positions (N, 2 or 3) are what tools write for none, and cannot be one."""
+    for filler in _FILLERS:
+        filled = (positions == filler).all(axis=-1)
+        if filled.sum() > (_MOST_FILLED if len(names) == 2 else 0):
+            said = f": {', '.join(names)} are all {filler:g}, as in {int(filled.sum())} of {len(filled)} rows"
+            _refuse(file, filled, lambda _, said=said: said, "leave out what was not found")  # type: ignore[misc]
+
+
+def _remarks(columns: Mapping[str, list[Any]]) -> Iterator[str]:
+    """What stands out in columns that are given in some rows only."""
+    for name in ("score", "presence"):
+        left_out = sum(value is None for value in columns[name])
+        if 0 < left_out < len(columns[name]):
+            yield f"{name} is left out in {left_out} of {len(columns[name])} rows of the file: it counts as 1 there"

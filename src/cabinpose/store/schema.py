@@ -28,6 +28,7 @@ MANIFEST_NAME = "dataset.yaml"
 _MOST_NAMES: Final = 1000  # of persons, and of joints
 MOST_LISTED_PARTS: Final = 100_000  # in dataset.yaml; of more it states their number
 _PART = re.compile(r"part-(\d{5}|[1-9]\d{5,})\.zarr")
+CHECKSUM_PREFIX: Final = "sha256:"
 DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
 
 
@@ -365,7 +366,7 @@ def manifest_yaml(manifest: Manifest) -> str:
 
 def checksum(text: str) -> str:
     """What `dataset.yaml` and the parts state of their own content."""
-    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    return CHECKSUM_PREFIX + hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def dataset_id(manifest: Manifest) -> str:

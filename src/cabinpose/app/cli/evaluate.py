@@ -121,8 +121,8 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
             def show(done: int, shown: ProgressReport = shown) -> None:
                 shown(done, "" if done < frames else "intervals")
 
-            samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons, progress=show)
-            reports.append(make_report(samples, options, model_name(model), names[1], notes))
+            samples, caveats = samples_of(dataset, model, options, joints=joints, persons=persons, progress=show)
+            reports.append(make_report(samples, options, model_name(model), names[1], caveats))
         over_frames[reports[-1].model] = {space: frame_distances(samples, space, options) for space in samples.spaces()}
         tell_failed(model)
     record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
@@ -252,14 +252,22 @@ def print_report(report: Report, *, everything: bool) -> None:
     from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
     from cabinpose.evaluate import METRICS
 
-    columns = group_columns([report])
+    columns, caveats = group_columns([report]), report.caveats
+    for explanation in caveats.explanations:
+        print(printable(explanation.words))
+    if caveats.explanations:
+        print("(the numbers below are of the answers as they are)")
     print(f"{printable(report.model)} on {printable(report.dataset)}: {report.frames} frames, {report.people} people")
+    if caveats.coverage:
+        print(caveats.coverage)
     rows = [["", *(c.title for c in columns)]]
     rows += [
         [group, *(number(report.value(c.metric, c.space, group, c.threshold)) for c in columns)] for group in report.joint_sets
     ]
     print_table(rows)
     print()
+    if caveats.coverage:
+        print(caveats.coverage)
     numbers = list(people_rows(report))
     added = {metric.name for name, metric in METRICS.items() if name not in METRICS.names(own=True)}
     shown = [(name, v) for name, v in numbers if everything or name in _USUAL or v.metric in added]

@@ -45,18 +45,24 @@ def page_html(
     draws = first.settings["resamples"]
     intervals = f"Small: 95 % interval, frames drawn with replacement {draws} times." if draws else "Without intervals."
     near = join(("Those nearest to the median frame's error. ", dots))
+    coverage = join(remark(f"{r.model}: {r.caveats.coverage}") for r in reports if r.caveats.coverage)
     curves = "Share of the true joints that count, in per cent; one that was not found is wrong."
     sections = [
         section("At a glance", "".join(map(_glance, reports))),
-        section("By joint group", _group_table(reports), intervals),
-        section("Curves", _curves(reports), curves),
-        section("Error by joint", _boxes(reports), _BOX_NOTE),
-        section("Over the frames", over_frames_html(over_frames), NOTE),
-        section("Confidence", _confidence(reports), _CONFIDENCE_NOTE),
-        section("By visibility", _visibility_table(reports)),
-        section("Typical frames", _frames(reports, typical), near),
-        section("Worst frames", _frames(reports, worst), dots),
-        section("All numbers", _number_table(reports)),
+        *(
+            section(title, body and coverage + body, note)
+            for title, body, note in (
+                ("By joint group", _group_table(reports), intervals),
+                ("Curves", _curves(reports), curves),
+                ("Error by joint", _boxes(reports), _BOX_NOTE),
+                ("Over the frames", over_frames_html(over_frames), NOTE),
+                ("Confidence", _confidence(reports), _CONFIDENCE_NOTE),
+                ("By visibility", _visibility_table(reports), ""),
+                ("Typical frames", _frames(reports, typical), near),
+                ("Worst frames", _frames(reports, worst), dots),
+                ("All numbers", _number_table(reports), ""),
+            )
+        ),
         section("Settings", _settings(first)),
     ]
     names = ", ".join(r.model for r in reports)
@@ -67,7 +73,9 @@ def page_html(
 def _glance(report: Report) -> str:
     values = [report.value(metric, space, joints, threshold) for metric, space, joints, threshold in _TILES]
     entries = ((number(v), v.unit, label(v), (interval(v),), "") for v in values if v is not None)
-    return el("h3", report.model) + tiles(entries) + "".join(map(remark, report.notes))
+    caveats = report.caveats
+    doubts = [el("p", el("b", each.words)) for each in caveats.explanations]
+    return join((el("h3", report.model), *doubts, remark(caveats.coverage), tiles(entries), *map(remark, report.notes)))
 
 
 def _with_models(reports: Sequence[Report], head: Sequence[object], rows: Iterable[_Row]) -> Html:

@@ -73,8 +73,8 @@ def judged(
     dataset: xr.Dataset, model: Predictions, options: EvaluationOptions, space: str, joints: Sequence[str], persons: Sequence[str]
 ) -> Judged:
     """What `evaluate` says of a model, and how far its joints are off in each frame."""
-    samples, notes = samples_of(dataset, model, options, joints=joints, persons=persons)
-    return Judged(samples, make_report(samples, options, model.model, "", notes), frame_distances(samples, space, options))
+    samples, caveats = samples_of(dataset, model, options, joints=joints, persons=persons)
+    return Judged(samples, make_report(samples, options, model.model, "", caveats), frame_distances(samples, space, options))
 
 
 class FrameErrors(NamedTuple):
