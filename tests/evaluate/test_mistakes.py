@@ -235,6 +235,15 @@ def test_nothing_is_said_of_weak_detectors(case: Case, space: str, seed: int) ->
         assert judged(case, replace(case.good, **{name: answers.astype(np.float32)})).explanations == ()
 
 
+def test_twice_as_good_is_no_mistake(case: Case) -> None:
+    """Left and right exchanged beneath so much noise that the errors would only be halved."""
+    rng = np.random.default_rng(0)
+    weak = _xyz(lambda x: x + rng.normal(0, 0.07, x.shape))(case.good)
+    crossed = _all(lambda a: a[:, :, OTHER_SIDE])(weak)
+    assert 1.8 < _median_error(case, crossed, "3d") / _median_error(case, weak, "3d") < 3
+    assert [each.space for each in judged(case, crossed).explanations] == ["2d"]
+
+
 def test_people_without_seats(case: Case) -> None:
     """Matched by the assignment, as for methods that know no seats: held against the nearest person."""
     options = replace(OPTIONS, match="distance")

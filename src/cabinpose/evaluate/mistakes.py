@@ -21,9 +21,7 @@ from cabinpose.evaluate.options import THESIS_HEAD_M, THESIS_HEAD_PX
 
 Float = NDArray[np.floating]
 
-MARGIN: Final = (
-    3.0  # a detector's own weakness never halved an error by exchanging something; a mistake divides it by 5 to 50 000
-)
+MARGIN: Final = 3.0  # exchanging something never halved an error of a detector's own; undoing a mistake divides it by 5 to 50 000
 FEWEST_JOINTS: Final = 20  # of fewer, one in a thousand tables of random answers has a row that fits by chance
 PAIR_FRAMES: Final = 60  # on which two mistakes at once are tried, of which there are about a hundred pairs
 UNIT: Final = MappingProxyType({"2d": ("px", 1.0), "3d": ("cm", 100.0)})
