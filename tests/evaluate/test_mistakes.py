@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.api import evaluate_predictions as evaluate_file
 from cabinpose.app.cli import main
-from cabinpose.core import CABINPOSE, ITOP, POSE_ARRAYS, FrameBatch, PoseBatch, PredictionsError, Visibility
+from cabinpose.core import CABINPOSE, ITOP, FrameBatch, PoseBatch, PredictionsError, Visibility
 from cabinpose.evaluate import Caveats, EvaluationOptions, evaluate, samples_of
 from cabinpose.evaluate.mistakes import MARGIN, MISTAKES, Positions, Trial, explanations
 from cabinpose.store import (
@@ -113,7 +113,7 @@ def _uv(change: Callable[[NDArray[Any]], NDArray[Any]]) -> Change:
 
 
 def _all(change: Callable[[NDArray[Any]], NDArray[Any]]) -> Change:
-    return lambda good: replace(good, **{name: change(getattr(good, name)) for name in POSE_ARRAYS})
+    return lambda good: replace(good, **vars(good.map(change)))
 
 
 def _named(joint: str) -> int:
