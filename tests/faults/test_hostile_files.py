@@ -25,8 +25,8 @@ SLOW = {  # more than 5 ms a file, or a second to begin
     "png-json pose", "png-json labels", "checkpoint", "vgg19", "training", "npz walks", "npz dpm", "source azure_mkv",
     "classes chunk",
 }  # fmt: skip
-MANY = {name: 100 if name in SLOW else 400 for name in READERS} | {
-    "azure-mkv": 20, "adtfdat": 30, "source azure_mkv": 10, "npz dpm": 30, "vgg19": 50,
+MANY = {name: 40 if name in SLOW else 200 for name in READERS} | {
+    "azure-mkv": 20, "adtfdat": 30, "source azure_mkv": 10, "npz dpm": 20, "vgg19": 20,
 }  # fmt: skip
 GOES_ON = {"azure-mkv", "mcap", "source replay", "source azure_mkv"}  # after damage, and says what is left out
 DEVICES = {  # sources with a path that is no file of somebody's: what stands there
