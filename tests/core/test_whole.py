@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -138,6 +139,15 @@ def test_a_mounted_disk_and_what_an_earlier_version_left(tmp_path: Path) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.fixture
+def own_handler() -> Iterator[None]:
+    """Ctrl-C as Python has it, whatever a test before has left."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("own_handler")
 def test_interrupts_wait() -> None:
     reached = []
     with suppress(KeyboardInterrupt):
