@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -156,9 +156,8 @@ def align_takes(
                 raise AlignmentError(f"{path} names no subject", hint="name the people in the rig's `take`, or give --subject")
             people = [align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=correct_pose) for code in codes]
             warnings += [f"{path.name}: {what}" for what in calibration.differences(recording.head.host)]
-            takes.append(_joined(path, sequence, recording.take, people, calibration, correct_pose))
-            if drive_side is not None:
-                takes[-1] = replace(takes[-1], drive_side=drive_side)
+            take = recording.take if drive_side is None else recording.take.model_copy(update={"drive_side": drive_side})
+            takes.append(_joined(path, sequence, take, people, calibration, correct_pose))
             warnings += filter(None, (_other_side(takes[-1], calibration), takes[-1].unknown_side))
     reports = [report for each in takes for _, report in each.people]
     places = tuple(dict.fromkeys(report.person for report in reports))

@@ -81,7 +81,7 @@ def left_before(path: Path) -> Path | None:
 
 
 def check_output(path: Path, kind: type[CabinposeError] = OutputError, *, parents: bool = True) -> None:
-    """Try, before the work, whether `path` can be written: a folder is made beside it, or in it, and removed.
+    """Try, before the work, whether `path` can be written: something is made beside it, or in it, and removed.
 
     Raises `kind` where the system refuses. parents: folders above that are missing will be made with the output; else they
     are refused too.
@@ -174,7 +174,7 @@ def make_folder(path: Path, kind: type[CabinposeError] = OutputError) -> None:
 def write_whole(path: Path, content: str | bytes, *, kind: type[CabinposeError] = OutputError) -> None:
     """Write a text, as UTF-8, or bytes; the file takes its name when it is whole."""
     with whole_file(path, kind=kind) as partial:
-        partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+        _fill(partial, content)
 
 
 def write_together(folder: Path, contents: Mapping[str, str | bytes], *, kind: type[CabinposeError] = OutputError) -> None:
@@ -190,8 +190,12 @@ def write_together(folder: Path, contents: Mapping[str, str | bytes], *, kind: t
             stack.callback(_remove_empty, folder)
         for name, content in contents.items():
             partial = stack.enter_context(whole_file(folder / name, kind=kind))
-            partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+            _fill(partial, content)
             _sync(partial)
+
+
+def _fill(file: Path, content: str | bytes) -> None:
+    file.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
 
 
 def _remove_empty(folder: Path) -> None:

@@ -13,7 +13,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from cabinpose.core import ModelError, whole_file
+from cabinpose.core import ModelError, make_folder, whole_file
 from cabinpose.estimate.array_model import ArrayModel, rewrite
 from cabinpose.estimate.half import halve
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, open_session
@@ -89,7 +89,7 @@ def write_onnx(
     answering = method.mirrored(detector.network) if mirrored else detector.network
     network = _Named(answering, method.outputs).eval()
     examples = TASKS[method.task].examples(config, torch.Generator().manual_seed(0))
-    out.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(out.parent)
     with whole_file(out, kind=ModelError) as partial:
         write_graph(network, examples, method.outputs, partial)
         model = onnx.load(str(partial))

@@ -59,7 +59,7 @@ class JointPredictor:
         self, poses: PoseBatch, frames: FrameBatch, seen: dict[str, NDArray[np.float32]], cameras: Sequence[Camera]
     ) -> PoseBatch:
         """The poses without those of frames in which nobody can be seen, which say why. Warns of the first of them."""
-        if not cameras or not frames.keys() & {"depth"}:
+        if not cameras or "depth" not in frames:
             return poses
         view = self.config.view
         told = unseen(seen, [view.filled(camera) for camera in cameras])

@@ -1,7 +1,7 @@
 """Whether a frame can be a picture of people at all: what a model's view sees of it, judged before its joints are believed.
 
-A network answers whatever it is shown. These are the frames in which there is nothing for it to find, told by numbers that cost a
-hundredth of its time; an empty car is none of them.
+A network answers whatever it is shown. These are the frames in which there is nothing for it to find; an empty car is none of
+them.
 """
 
 from __future__ import annotations

@@ -200,15 +200,11 @@ def _joints(trial: Trial) -> Positions | None:
     """The joints in the order in which the answers fit best."""
     few = trial.some(PAIR_FRAMES)
     space = "3d" if np.isfinite(trial.given.xyz).any() else "2d"
-    true, given = few.true.of(space), few.given.of(space)
-    names, joints = trial.skeleton.joints, range(true.shape[2])
-    cost = np.array(
-        [[_median(np.linalg.norm(given[:, :, there] - true[:, :, here], axis=-1)) for there in joints] for here in joints]
-    )
-    order = _best_order(cost)
+    order = _best_order(_costs(few.given.of(space).swapaxes(1, 2), few.true.of(space).swapaxes(1, 2)))
     if order is None:
         return None
-    told = [f"{names[here]} under the name {names[order[here]]}" for here in joints if order[here] != here]
+    names = trial.skeleton.joints
+    told = [f"{name} under the name {names[there]}" for name, there in zip(names, order, strict=True) if name != names[there]]
     more = f" and {len(told) - 3} more" if len(told) > 3 else ""
     return Positions(trial.given.uv[:, :, order], trial.given.xyz[:, :, order], ", ".join(told[:3]) + more)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from cabinpose.core import (
     CABINPOSE,
-    POSE_ARRAYS,
     SKELETONS,
     UNKNOWN_SET,
     DatasetError,
@@ -214,7 +214,7 @@ def _keeping(
     for truth, batch in chunks:
         rows = np.arange(-seen % step, len(truth.frame), step)
         some = TruthChunk._make(each[rows] for each in truth)
-        kept.append(_Kept(seen + rows, some, PoseBatch(**{name: getattr(batch, name)[rows] for name in POSE_ARRAYS})))
+        kept.append(_Kept(seen + rows, some, batch.map(itemgetter(rows))))
         seen += len(truth.frame)
         yield truth, batch
 

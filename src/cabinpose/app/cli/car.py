@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
-from cabinpose.core import ConfigError, SceneError, whole_file, write_whole
+from cabinpose.core import ConfigError, SceneError, make_folder, whole_file, write_whole
 
 if TYPE_CHECKING:
     from cabinpose.app.car_check import CarReport
@@ -77,7 +77,7 @@ def _init(command: CarInit) -> None:
         draft = draft_car_file(
             command.mesh, command.out, up_axis=command.up_axis, front_axis=command.front_axis, unit=command.unit
         )
-    command.out.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(command.out.parent)
     write_whole(command.out, draft.text)
     wheel = draft.wheel
     if command.as_json:
@@ -224,6 +224,6 @@ def _draw(file: Path, report: CarReport, picture: Path) -> None:
     verdicts = {slot: f"{t.held}/{t.tried} hold{pushed[slot]}" for slot, t in report.trials.items()}
     wrong = [where for trial in report.trials.values() for where in trial.where]
     image = draw_car(report.cabin, config.camera.sensor_model.camera, verdicts, wrong, frame)
-    picture.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(picture.parent)
     with whole_file(picture) as partial:
         PilImage.fromarray(image).save(partial)

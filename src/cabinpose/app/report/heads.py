@@ -10,7 +10,7 @@ import numpy as np
 from cabinpose.app.report.charts import legend, series_chart
 from cabinpose.app.report.frames import overlay
 from cabinpose.app.report.html import document, el, section
-from cabinpose.core import CABINPOSE, write_whole
+from cabinpose.core import CABINPOSE, make_folder, write_whole
 from cabinpose.store import open_dataset
 
 _SHOWN = 2  # best and worst frames of each take
@@ -50,5 +50,5 @@ def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], ou
         section("Over the takes", chart + legend(lines), note),
         section("Best and worst frames", el("div", *pictures, class_="frames")),
     ]
-    out.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(out.parent)
     write_whole(out, document(f"Heads: {folder.name}", "Agreement of the heads", summary, sections))

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cabinpose.core import Bools, Floats32, whole_file
+from cabinpose.core import Bools, Floats32, make_folder, whole_file
 from cabinpose.synth.style.encoder import Encoder, Loss, StyleLoss, encoder_of, shown, without_slow
 from cabinpose.synth.style.frame import StyleFrame
 from cabinpose.synth.style.settings import METADATA_KEY
@@ -176,7 +176,7 @@ def write_network(network: StyleNetwork, path: Path, card: Mapping[str, Any]) ->
     """Write a network as ONNX, for frames of any size that is a multiple of `MULTIPLE`; the card goes into its metadata."""
     examples = {name: torch.zeros(1, count, 64, 64) for name, count in (("depth", 1), ("valid", 1), ("guides", 4), ("noise", 1))}
     size = {2: "height", 3: "width"}
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     with whole_file(path) as partial:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the exporter that traces is deprecated, and needs nothing beside onnx
