@@ -132,8 +132,8 @@ class JointPredictor:
         PoseBatch
             joints_2d (P, J, 2) px, joints_3d (P, J, 3) m in the camera frame, score and presence (P, J), for the slots
             `persons` and the joints `joints`, with expected_error_m (P, J) where the model's confidence is calibrated; with N
-            before that for many frames. reason (a text; N for many frames) says why a frame in which nobody can be seen has
-            no answer.
+            before that for many frames. reason, an array () of one text, or (N,), says why a frame in which nobody can be seen
+            has no answer.
 
         Raises
         ------
