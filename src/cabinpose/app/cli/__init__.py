@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         The exit code: 0 done, 1 done with a problem, 2 a mistake that the user can mend, 130 interrupted, 143 asked to end.
     """
-    from cabinpose.core import FULL_DISK, CabinposeError, is_refused
+    from cabinpose.core import CabinposeError
 
     closed = _open_stdout()
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -116,6 +116,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout has gone, for example `head`
         _silence()
     except OSError as error:
+        from cabinpose.core import FULL_DISK, is_refused
+
         refused = error.errno in FULL_DISK or (closed and error.errno == errno.EBADF)
         if error.filename is None and (refused or _stdout_refuses()):
             _silence()
@@ -132,7 +134,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _done(verb: str, rest: list[str]) -> int:
     """Run a command that ends without an exception; its exit code."""
     import cabinpose
-    from cabinpose.core import CabinposeError, check_output
+    from cabinpose.core import CabinposeError
 
     if verb in ("-h", "--help", "--version"):
         print(cabinpose.__version__ if verb == "--version" else _help(), flush=True)
@@ -155,6 +157,8 @@ def _done(verb: str, rest: list[str]) -> int:
         if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
             raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
         command = parsed(verb, module.COMMAND, words, _summary(verb))
+        from cabinpose.core import check_output
+
         for name in ("out", "report"):  # before the work, which would be lost
             if isinstance(path := getattr(command, name, None), Path):
                 check_output(path)
