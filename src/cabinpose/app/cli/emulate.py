@@ -84,9 +84,7 @@ class EmulateStepper(_Emulate):
 _COMMANDS: Mapping[str, type[_Emulate]] = {
     "mvn": EmulateMvn, "vicon": EmulateVicon, "mt": EmulateMt, "stepper": EmulateStepper,
 }  # fmt: skip
-_DEFAULTS: Mapping[str, Mapping[str, Any]] = {
-    "vicon": {"port": 8801},  # the vendor's own is 801, which most systems keep for the administrator
-}
+_VICON_PORT = 8801  # the vendor's own is 801, which most systems keep for the administrator
 _RENAMED: Mapping[str, Mapping[str, str]] = {
     "mvn": {
         "--rate": "--rate-hz", "--capture-rate": "--capture-rate-hz", "--types": "--kinds", "--latency": "--latency-s",
@@ -110,11 +108,22 @@ def _command(name: str) -> type:
 
 
 def _default(name: str) -> BaseModel:
-    """The settings of a device's emulator; the face imports only its own modules."""
-    from cabinpose.record import emulate
+    """The settings of a device's emulator; only its own modules are imported."""
+    if name == "mvn":
+        from cabinpose.record.emulate import MvnEmulatorSettings
 
-    settings: type[BaseModel] = getattr(emulate, f"{name.capitalize()}EmulatorSettings")
-    return settings(**_DEFAULTS.get(name, {}))
+        return MvnEmulatorSettings()
+    if name == "vicon":
+        from cabinpose.record.emulate import ViconEmulatorSettings
+
+        return ViconEmulatorSettings(port=_VICON_PORT)
+    if name == "mt":
+        from cabinpose.record.emulate import MtEmulatorSettings
+
+        return MtEmulatorSettings()
+    from cabinpose.record.emulate import StepperEmulatorSettings
+
+    return StepperEmulatorSettings()
 
 
 COMMAND = Choices("device", _listed, _command)
