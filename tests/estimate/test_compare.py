@@ -96,12 +96,15 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def real(folder: Path) -> tuple[Path, Path]:
     """Two frames as ITOP's own files have them, and as the scaled crops of a .npz."""
     up = np.tile(np.linspace((-0.2, 0.6, 2.5), (0.2, -0.6, 2.5), 15), (2, 1, 1))
-    np.savez(folder / "crops.npz", depth01=np.full((2, 100, 100), 0.5, "f4"), joints_3d=up, frame=np.arange(2))
+    crop = np.tile(np.linspace(0.8, 0.9, 100, dtype="f4"), (2, 100, 1))  # a wall, of many depths: one or two fit any scale
+    image = np.full((2, 240, 320), 3.5, "f2")
+    crop[:, 20:, 30:70], image[:, 60:, 110:210] = 0.55, 2.5  # and somebody before it: before a bare wall there is nobody
+    np.savez(folder / "crops.npz", depth01=crop, joints_3d=up, frame=np.arange(2))
     files = folder / "ITOP_side"
     files.mkdir()
     ids = np.array([b"00_00000", b"00_00001"])
     with h5py.File(files / "a_depth_map.h5", "w") as file:
-        file["id"], file["data"] = ids, np.full((2, 240, 320), 2.5, "f2")
+        file["id"], file["data"] = ids, image
     with h5py.File(files / "a_labels.h5", "w") as file:
         file["id"], file["is_valid"], file["visible_joints"] = ids, np.ones(2), np.ones((2, 15))
         file["real_world_coordinates"] = up.astype("f2")
