@@ -52,10 +52,11 @@ def run(
     -------
     dict
         Of each model: frames_per_s, p50_ms, p95_ms of whole frames, one at a time, from depth and amplitude at the camera's
-        resolution to joints in 3D; stages_ms: input (resampling to the model's view), network, decode; frames_per_s_batch: 16
-        frames at once; aim: the frames_per_s to reach on two cores; weights: fresh or file; decodes: "own", the network's
-        outputs, or "true_joints", maps rendered from the joints of the two people in the frame, since with fresh weights no
-        people would be assembled; peers_take: for each peer the p50_ms of its network over that of the model's whole frame.
+        resolution to joints in 3D; stages_ms: input (resampling to the model's view), network, decode, checks (whether the frame
+        can be a picture of people); frames_per_s_batch: 16 frames at once; aim: the frames_per_s to reach on two cores; weights:
+        fresh or file; decodes: "own", the network's outputs, or "true_joints", maps rendered from the joints of the two people in
+        the frame, since with fresh weights no people would be assembled; peers_take: for each peer the p50_ms of its network over
+        that of the model's whole frame.
         Of each peer: frames_per_s, p50_ms, p95_ms of the network alone; parameters_m, macs_g as published.
     """
     if min(frames, repeats, threads) < 1:

@@ -40,7 +40,7 @@ class Subject:
 
 
 class OurDetector(Subject):
-    """A detector of this package: the view of the camera's arrays, the network, and decoding to joints in 3D."""
+    """A detector of this package: the view of the camera's arrays, the network, decoding to joints in 3D, and checks."""
 
     def __init__(
         self, predictor: JointPredictor, frames: Sequence[Frame], answers: Sequence[Arrays] | None = None, **about: Any
@@ -49,7 +49,7 @@ class OurDetector(Subject):
         network's own.
         """
         self._predictor, self._model = predictor, cast(OnnxModel, predictor.model)
-        super().__init__(self._model.session, ("input", "network", "decode"), about)
+        super().__init__(self._model.session, ("input", "network", "decode", "checks"), about)
         self._frames = [frame_batch([frame]) for frame in frames]
         self._answers = answers or [{} for _ in frames]
         turns = [i % len(frames) for i in range(BATCH)]
@@ -57,7 +57,7 @@ class OurDetector(Subject):
         self._batch_answers = {n: np.concatenate([self._answers[i][n] for i in turns]) for n in self._answers[0]}
 
     def frame(self, number: int) -> tuple[float, ...]:
-        """Seconds of the three stages of one frame."""
+        """Seconds of the stages of one frame."""
         i = number % len(self._frames)
         return self._time(self._frames[i], self._answers[i])
 
@@ -75,8 +75,10 @@ class OurDetector(Subject):
         outputs = self._model.outputs(seen)
         answered = time.perf_counter()
         found = self._model.method.decode(answers or outputs, self._model.config, seen)
-        self._predictor.poses(found, cameras)
-        return prepared - start, answered - prepared, time.perf_counter() - answered
+        poses = self._predictor.poses(found, cameras)
+        decoded = time.perf_counter()
+        self._predictor.believed(poses, frames, seen, cameras)
+        return prepared - start, answered - prepared, decoded - answered, time.perf_counter() - decoded
 
 
 class PeerNetwork(Subject):

@@ -9,6 +9,7 @@ void bind_contact(nb::module_& m);
 void bind_cabin(nb::module_& m);
 void bind_core(nb::module_& m);
 void bind_dpm(nb::module_& m);
+void bind_estimate(nb::module_& m);
 void bind_pose(nb::module_& m);
 void bind_lab(nb::module_& m);
 void bind_sensor(nb::module_& m);
@@ -41,6 +42,7 @@ NB_MODULE(CABINPOSE_MODULE, m) {
   room("cabin", cabinpose::bind_cabin);
   room("core", cabinpose::bind_core);
   room("dpm", cabinpose::bind_dpm);
+  room("estimate", cabinpose::bind_estimate);
   room("pose", cabinpose::bind_pose);
   room("lab", cabinpose::bind_lab);
   room("sensor", cabinpose::bind_sensor);

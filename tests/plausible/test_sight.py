@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,15 @@ import numpy as np
 import pytest
 
 import cabinpose
+from cabinpose import _native
+from cabinpose._native import estimate
 from cabinpose.core import PoseBatch, joined
 from cabinpose.estimate import JointPredictor, load_model
+from cabinpose.estimate.sight import _Limits, _Seen
 
 SIDE = np.random.default_rng(3)
+LIMITS = _Limits(4)
+BUILDS = [p.name.split(".")[0] for p in Path(_native.__file__).parent.glob("_*.so")]
 Image = np.ndarray[Any, np.dtype[np.float64]]
 
 
@@ -44,14 +50,16 @@ def smooth(depth: Image) -> Image:
         (lambda d: d / 1000, "100.0 % of the depths are nearer than 0.2 m"),
         (lambda d: np.full_like(d, 0.3) + 0.01 * SIDE.normal(size=d.shape), "nearer than 0.5 m"),
         (np.ones_like, "no silhouette"),
-        (lambda d: 1 + 0.02 * SIDE.normal(size=d.shape), "one surface"),
+        (lambda d: 1 + 0.05 * SIDE.normal(size=d.shape), "no silhouette"),
+        (lambda d: smooth(d) * (1 + 0.03 * SIDE.normal(size=d.shape)), "no silhouette"),
+        (lambda d: np.where(np.arange(d.shape[1]) % 80 < 12, 0, 1 + 0.1 * SIDE.normal(size=d.shape)), "one surface"),
         (smooth, "no silhouette"),
         (lambda d: SIDE.uniform(0.3, 2.5, d.shape), "this is noise"),
         (lambda d: np.where(SIDE.random(d.shape) < 0.05, 1.0, np.nan), "scattered points"),
     ],
     ids=(
-        "nan", "zero", "negative", "infinite", "decimetres", "hand", "kilometres", "near", "wall", "noisy", "corner", "noise",
-        "scattered",
+        "nan", "zero", "negative", "infinite", "decimetres", "hand", "kilometres", "near", "wall", "noisy", "noisy corner",
+        "bars", "corner", "noise", "scattered",
     ),
 )  # fmt: skip
 def test_what_is_no_picture_has_nobody_and_a_reason(
@@ -89,12 +97,48 @@ def test_people_are_answered_without_a_reason_beside_frames_that_have_one(model:
     found = model(frame["depth"], frame["camera_k"], frame["amplitude"], camera_dist=frame["camera_dist"])
     assert str(found.reason) == ""
     assert np.isfinite(found.joints_3d).all()
+    assert found.remarks == ()
     # Of two frames the wrong one alone loses its joints.
     blind = np.stack((np.full_like(frame["depth"], np.nan), frame["depth"]))
     both = model(blind, frame["camera_k"], np.stack([frame["amplitude"]] * 2), camera_dist=frame["camera_dist"])
     assert [bool(reason) for reason in both.reason] == [True, False]
     assert np.isnan(both.joints_3d[0]).all()
     assert np.isfinite(both.joints_3d[1]).all()
+
+
+def test_half_a_hand_on_the_lens_is_told_and_the_rest_answered(frame: dict[str, Any]) -> None:
+    model = load_model("in_car", threads=1)
+    half = np.where(np.arange(frame["depth"].shape[1]) < 0.35 * frame["depth"].shape[1], np.float32(0.05), frame["depth"])
+    with pytest.warns(UserWarning, match="something lies on a part of the lens"):
+        found = model(half, frame["camera_k"], frame["amplitude"], camera_dist=frame["camera_dist"])
+    assert [remark.split(" % ")[1] for remark in found.remarks] == [
+        "of the depths are nearer than 0.1 m: something lies on a part of the lens, and hides who is behind"
+    ]
+    assert str(found.reason) == ""
+    assert np.isfinite(found.joints_3d).any()
+
+
+def test_the_kernel_counts_what_numpy_counts_and_either_build_the_same(frame: dict[str, Any]) -> None:
+    depth = np.nan_to_num(frame["depth"]).astype(np.float32)
+    light = frame["amplitude"].astype(np.float32)
+    light[5, 7:9] = -9, np.nan
+    seen = [importlib.import_module(f"cabinpose._native.{name}").estimate.see(depth, light, LIMITS) for name in BUILDS]
+    assert all(each == seen[0] for each in seen)
+    told = _Seen(*seen[0])
+    some, valid = depth[::4, ::4], depth > 0
+    pairs = (some[:, 1:] > 0) & (some[:, :-1] > 0)
+    step = np.abs(np.diff(some, axis=1)) > np.float32(LIMITS.step) * some[:, :-1]
+    wanted = ((some > 0).sum(), ((some > 0) & (some < LIMITS.nearer)).sum(), pairs.sum(), (pairs & step).sum(), valid.sum())
+    assert (told.valid, told.nearer, told.pairs, told.steps, told.all_valid) == wanted
+    assert told.joined == (valid[:, 1:] & valid[:, :-1]).sum()
+    assert told.odd == (depth[5, 7] > 1 / 3) + 1
+    # One surface has nothing off it, whatever its holes; half of another has.
+    v, u = np.mgrid[:160, :192] / 192
+    surface = (1 / (0.7 + 0.5 * u - 0.2 * v + 0.6 * u * u + 0.1 * u * v - 0.3 * v * v)).astype(np.float32)
+    surface[40:60, 30:90] = 0
+    assert _Seen(*estimate.see(surface, light[:0, :0], LIMITS))[-4::3] == (1920 - 70, 0)
+    surface[:, 96:] *= 1.5
+    assert _Seen(*estimate.see(surface, light[:0, :0], LIMITS)).off > 500
 
 
 @pytest.mark.real_data

@@ -9,6 +9,7 @@ from . import cabin as cabin
 from . import contact as contact
 from . import core as core
 from . import dpm as dpm
+from . import estimate as estimate
 from . import lab as lab
 from . import pose as pose
 from . import raster as raster

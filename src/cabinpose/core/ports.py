@@ -62,6 +62,7 @@ class PoseBatch:
     expected_error_m: (F, P, J) float32 m, the mean distance of such joints to the truth in 3D; NaN = not known, as in all of a
     detector whose confidence is not calibrated.
     reason: (F,) object, why a frame has no answer, in words; "" = the detector looked at it, and may have found nobody.
+    remarks: what stood out in these frames or their answers, in words, once each.
     """
 
     joints_2d: NDArray[np.float32]
@@ -70,6 +71,7 @@ class PoseBatch:
     presence: NDArray[np.float32]
     expected_error_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((), np.float32), kw_only=True)
     reason: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object), kw_only=True)
+    remarks: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         if not self.expected_error_m.ndim:  # left out
@@ -87,7 +89,7 @@ class PoseBatch:
         if self.reason.any() and self.score.size:  # chosen with the joints: those of one frame have the same
             each = change(np.broadcast_to(self.reason[..., None, None], self.score.shape))
             reason = each[..., 0, 0] if each.size else reason
-        return PoseBatch(**arrays, reason=np.asarray(reason, object))
+        return PoseBatch(**arrays, reason=np.asarray(reason, object), remarks=self.remarks)
 
 
 POSE_ARRAYS = ("joints_2d", "joints_3d", "score", "presence", "expected_error_m")
@@ -99,7 +101,8 @@ def joined(batches: Sequence[PoseBatch]) -> PoseBatch:
     if len(batches) == 1:
         return batches[0]
     names = (*POSE_ARRAYS, "reason")
-    return PoseBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
+    remarks = tuple(dict.fromkeys(remark for batch in batches for remark in batch.remarks))
+    return PoseBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names}, remarks=remarks)
 
 
 @runtime_checkable

@@ -27,12 +27,13 @@ _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 class JointPredictor:
     """A trained model of joints, whatever its file holds; fulfils `core.ports.Predictor`."""
 
-    _warned_of_light = _warned_of_side = _warned_of_blind = False
+    _warned_of_light = _warned_of_side = False
 
     def __init__(self, model: TrainedModel) -> None:
         """model: of a method whose task is joints."""
         self.model, self.config = model, model.config
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
+        self._warned: set[str] = set()
         self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
 
     @property
@@ -52,28 +53,38 @@ class JointPredictor:
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
             poses = self.poses(self._found(seen, self._turned(frames, which, len(cameras))), cameras)
-            batches.append(self._believed(poses, frames, seen, cameras))
+            batches.append(self.believed(poses, frames, seen, cameras))
         return joined(batches)
 
-    def _believed(
+    def believed(
         self, poses: PoseBatch, frames: FrameBatch, seen: dict[str, NDArray[np.float32]], cameras: Sequence[Camera]
     ) -> PoseBatch:
-        """The poses without those of frames in which nobody can be seen, which say why. Warns of the first of them."""
+        """The poses without those of frames in which nobody can be seen, which say why; the last of the stages.
+
+        Warns of the first of them.
+        """
         if not cameras or "depth" not in frames:
             return poses
         view = self.config.view
-        told = unseen(seen, [view.filled(camera) for camera in cameras])
+        judged = unseen(seen, [view.filled(camera) for camera in cameras])
+        told = [reason for reason, _ in judged]
+        remarks = tuple(dict.fromkeys(remark for _, remark in judged if remark))
+        for remark in remarks[:1]:
+            self._warn_once("covered", remark)
         if not any(told):
-            return poses
+            return replace(poses, remarks=remarks) if remarks else poses
         blind = np.array([bool(reason) for reason in told])
         for name in POSE_ARRAYS:
             getattr(poses, name)[blind] = 0.0 if name in ("score", "presence") else np.nan
-        if not self._warned_of_blind:
-            self._warned_of_blind = True
-            warnings.warn(
-                f"a frame in which {self.name} cannot see anybody: {next(filter(None, told))}; it has no joints", stacklevel=3
-            )
-        return replace(poses, reason=np.array(told, object))
+        first = next(filter(None, told))
+        self._warn_once("blind", f"a frame in which {self.name} cannot see anybody: {first}; it has no joints")
+        return replace(poses, reason=np.array(told, object), remarks=remarks)
+
+    def _warn_once(self, what: str, words: str) -> None:
+        """Warn, the first time that there is anything of this kind to say."""
+        if what not in self._warned:
+            self._warned.add(what)
+            warnings.warn(words, stacklevel=4)
 
     def _turned(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.bool_]:
         """(N,) whether the wheel is on the other side than in the cars that the model has learnt from."""
@@ -171,7 +182,7 @@ class JointPredictor:
         return found.map(lambda values: values[0]) if one else found
 
     def seen(self, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> dict[str, NDArray[np.float32]]:
-        """What the model's view sees of some frames by name; the first of the three stages of `predict`.
+        """What the model's view sees of some frames by name; the first of the stages of `predict`.
 
         Warns once where the amplitudes cannot be what the model has learnt from.
         """
@@ -193,7 +204,7 @@ class JointPredictor:
         return seen
 
     def poses(self, found: Found, cameras: Sequence[Camera]) -> PoseBatch:
-        """The joints in the frames' own cameras, from those in the view; the last of the stages."""
+        """The joints in the frames' own cameras, from those in the view; a stage of `predict`."""
         view = self.config.view
         joints_2d = np.empty_like(found.uv)
         for n, camera in enumerate(cameras):

@@ -41,8 +41,7 @@ _DESCRIBED = "docs/evaluation.md describes the format"
 class Predictions(PoseBatch):
     """The answers of one model: `PoseBatch`'s arrays over the frames numbered `frame` (F,) int64, in rising order.
 
-    persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it · remarks: what
-    stood out in the file.
+    persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it.
     """
 
     frame: NDArray[np.int64]
@@ -51,7 +50,6 @@ class Predictions(PoseBatch):
     model: str
     skeleton: str = "cabinpose"
     dataset: str | None = None
-    remarks: tuple[str, ...] = ()
 
     def take(self, frames: NDArray[np.int64]) -> PoseBatch:
         """The answers on the frames with the given numbers, in that order; frames without an answer are empty."""
@@ -330,8 +328,8 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     for name in ("score", "presence", "expected_error_m"):
         getattr(batch, name)[f, p, j] = values[name]
     return Predictions(
-        **vars(batch), frame=frame, persons=persons, joints=joints, model=header["model"],
-        skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"), remarks=tuple(_remarks(columns)),
+        **vars(batch) | {"remarks": tuple(_remarks(columns))}, frame=frame, persons=persons, joints=joints, model=header["model"],
+        skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from cabinpose.app.cli.output import print_json, print_rows, print_table
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError
 
-_STAGES = ("input", "network", "decode")
+_STAGES = ("input", "network", "decode", "checks")
 
 
 @dataclass(frozen=True, kw_only=True)
