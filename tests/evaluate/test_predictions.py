@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import resource
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,41 @@ def test_both_encodings_hold_the_same(tmp_path: Path) -> None:
     one, two = (read_predictions(write_predictions(tmp_path / f"p{suffix}", drawn(1))) for suffix in SUFFIXES)
     assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(vars(one).values(), vars(two).values(), strict=True)
                if isinstance(a, np.ndarray) and a.dtype.kind == "f")  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_reasons_and_remarks_are_kept_with_their_frames(tmp_path: Path, suffix: str) -> None:
+    reasons = np.array(["", "97.1 % of it is a wall", "", "98.0 % of it is a wall"], object)
+    wanted = drawn(3)
+    for name in ("joints_2d", "joints_3d"):
+        getattr(wanted, name)[reasons != ""] = np.nan
+    wanted = replace(wanted, reason=reasons, remarks=("half a hand",))
+    found = read_predictions(write_predictions(tmp_path / f"p{suffix}", wanted))
+    assert found.frame.tolist() == wanted.frame.tolist()  # a frame without people is no frame that is missing
+    assert found.reason.tolist() == reasons.tolist()
+    assert found.remarks == ("half a hand",)
+    assert found.unseen == {"97.1 % of it is a wall": 2}
+    assert found.take(wanted.frame[[3, 0]]).reason.tolist() == [reasons[3], ""]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (({"frame": 4, "reason": "dark"}, ROW), "row 1 has a reason and stands before rows of joints"),
+        ((ROW, {"frame": 3, "reason": "dark"}), "row 2: frame 3 has rows beside its reason"),
+        ((ROW, {"frame": 4, "reason": "dark"}, {"frame": 4, "reason": "dark"}), "row 2: frame 4 has rows beside its reason"),
+        ((ROW, {"frame": 4, "reason": " "}), "row 2: a reason is a text beside the frame alone"),
+        ((ROW, ROW | {"frame": 4, "reason": "dark"}), "row 2: a reason is a text beside the frame alone"),
+    ],
+    ids=["before", "beside joints", "twice", "blank", "with a joint"],
+)
+def test_reasons_that_cannot_be_are_refused(tmp_path: Path, rows: tuple[object, ...], said: str) -> None:
+    path = tmp_path / "p.jsonl"
+    path.write_text(lines(ROW, {"frame": 4, "reason": "dark"}))
+    assert read_predictions(path).reason.tolist() == ["", "dark"]
+    path.write_text(lines(*rows))
+    with pytest.raises(PredictionsError, match=said):
+        read_predictions(path)
 
 
 def test_take_leaves_unknown_frames_empty() -> None:
@@ -181,7 +217,7 @@ def test_parquet_that_would_fill_the_memory(tmp_path: Path) -> None:
     path = tmp_path / "p.parquet"
     parquet.write_table(pa.table({"frame": pa.array(np.ones(10_000_000, np.int8))}), path)
     assert path.stat().st_size < 50_000
-    with pytest.raises(PredictionsError, match=r"it would unpack to 0.9 GB"):
+    with pytest.raises(PredictionsError, match=r"it would unpack to 1.0 GB"):
         read_predictions(path)
     count, name = 20_000, "x" * 100_000
     columns = {"frame": pa.array(range(count)), "person": pa.array([name]), "u": pa.array([1.0] * count)}

@@ -21,6 +21,7 @@ from cabinpose.app.live.feed import LatestFrame, LiveFrame, batch_of
 from cabinpose.app.live.run import Found, Latency, Live
 from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, PoseBatch
+from cabinpose.estimate import joint_predictor
 from cabinpose.record.config import Rig, SourcePlan, parse_rig
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Counts, Sample, ToFFrame
@@ -179,6 +180,31 @@ def test_json_has_the_expected_error_where_it_is_known() -> None:
     driver = _people(Found("m", poses, "", 1.0), ("driver",), ("head", "neck"))["driver"]
     assert driver["head"]["expected_error_m"] == 0.0304
     assert "expected_error_m" not in driver["neck"]
+
+
+def test_frames_without_people_have_their_reason_wherever_answers_are(
+    run: Run, dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = iter([("9.1 % of it is dark", "half a hand"), *[("", "")] * (FRAMES - 2), ("9.7 % of it is dark", "half a hand")] * 2)
+    monkeypatch.setattr(joint_predictor, "unseen", lambda _, filled: [next(told) for _ in filled])
+    lines = [json.loads(line) for line in run("live", "--source", dataset_folder, "--json").out.splitlines()]
+    frames = [line["models"][0] for line in lines[:-1]]
+    assert [frame.get("reason", "") for frame in frames] == ["9.1 % of it is dark", *[""] * (FRAMES - 2), "9.7 % of it is dark"]
+    assert [frame.get("remarks", []) for frame in frames] == [["half a hand"], *[[]] * (FRAMES - 2), ["half a hand"]]
+    summary = lines[-1]["summary"]
+    assert summary["unseen"] == {"in_car": {"9.1 % of it is dark": 2}}
+    assert summary["remarks"] == {"in_car": ["half a hand"]}
+    file = tmp_path / "p.jsonl"
+    done = run("predict", dataset_folder, "--model", "in_car", "--out", file, "--json")
+    assert json.loads(done.out)["unseen"] == {"9.1 % of it is dark": 2}
+    assert json.loads(done.out)["remarks"] == ["half a hand"]
+    assert f"2 of {FRAMES} frames: nobody can be seen: 9.1 % of it is dark" in done.err
+    judged = run("evaluate", dataset_folder, "--predictions", file, "--resamples", 0)
+    assert judged.out.count(f"2 of {FRAMES} frames: nobody can be seen: 9.1 % of it is dark") == 2  # above each table
+    assert "half a hand" in judged.out
+    told_json = json.loads(run("evaluate", dataset_folder, "--predictions", file, "--resamples", 0, "--json").out)["models"][0]
+    assert told_json["caveats"]["unseen"] == {"9.1 % of it is dark": 2}
+    assert told_json["caveats"]["answered"] == FRAMES
 
 
 # ------------------------------------------------------------------------------------------------ the newest frame

@@ -49,6 +49,25 @@ def test_a_shipped_model_answers_the_same_bits(frames: FrameBatch, query: str) -
 
 
 @pytest.mark.parametrize("query", ["", "?shared_memory=off"])
+def test_reasons_come_to_those_who_ask(frames: FrameBatch, query: str) -> None:
+    model = load_model("in_car", threads=1)
+    frames["depth"][1] = 1.0
+    running = start_server(model)
+    try:
+        there = open_predictor(running.address + query).predict(frames)
+        assert [bool(reason) for reason in there.reason] == [False, True, False]
+        assert there.reason.tolist() == model.predict(frames).reason.tolist()
+        client = triton.InferenceServerClient(running.address.removeprefix("grpc://").split("/")[0])
+        plain = client.infer("in_car", _triton_inputs(frames, 1))
+        assert plain.as_numpy("reason") is None  # whoever does not ask gets what there was before
+        asked = client.infer("in_car", _triton_inputs(frames, 1), outputs=[triton.InferRequestedOutput("reason")])
+        assert asked.as_numpy("reason")[0].decode() == there.reason[1]
+        client.close()
+    finally:
+        running.stop()
+
+
+@pytest.mark.parametrize("query", ["", "?shared_memory=off"])
 def test_every_byte_of_a_frame_arrives(frames: FrameBatch, server: RunningServer, witness: Witness, query: str) -> None:
     remote = open_predictor(server.address + query)
     assert same(witness.predict(frames), remote.predict(frames))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
@@ -81,6 +82,13 @@ class PoseBatch:
             object.__setattr__(self, "reason", np.full(frames, "", object))
         if self.reason.shape != frames:
             raise ValueError(f"reasons of shape {self.reason.shape} do not belong to frames of shape {frames}")
+
+    @property
+    def unseen(self) -> dict[str, int]:
+        """Frames with a reason, counted by it; reasons that differ in numbers alone count as one, in the words of the first."""
+        first: dict[str, str] = {}
+        reasons = [first.setdefault(re.sub(r"[0-9.]+", "0", each), each) for each in self.reason.ravel().tolist() if each]
+        return {reason: reasons.count(reason) for reason in first.values()}
 
     def map(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> PoseBatch:
         """The batch with all arrays changed alike: frames, persons or joints chosen or put in another order."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -33,7 +33,8 @@ class Caveats:
 
     frames, answered: how many frames there are, and for how many there is an answer · identity: how it is known that the answers
     are of this dataset: they name its id, they name a folder, they name nothing, or the detector ran on these frames now ·
-    explanations: mistakes that would explain the errors · notes: what else stands out.
+    explanations: mistakes that would explain the errors · notes: what else stands out · unseen: in how many frames nobody can be
+    seen, by the reason that the detector gives.
     """
 
     frames: int = 0
@@ -41,12 +42,16 @@ class Caveats:
     identity: Identity = "run"
     explanations: tuple[Explanation, ...] = ()
     notes: tuple[str, ...] = ()
+    unseen: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def coverage(self) -> str:
-        """In words, beside every figure: for how many frames there are answers, and whether they are known to be of these."""
+        """In words, beside every figure: for how many frames there are answers, in how many nobody can be seen, and whether the
+        answers are known to be of these.
+        """
         missing = f"answers for {self.answered} of {self.frames} frames" if self.answered < self.frames else ""
-        return "; ".join(filter(None, (missing, _IDENTITY[self.identity])))
+        blind = [f"{count} of {self.frames} frames: nobody can be seen: {reason}" for reason, count in self.unseen.items()]
+        return "; ".join(filter(None, (missing, *blind, _IDENTITY[self.identity])))
 
 
 def remarks(batch: PoseBatch, size: tuple[int, int], presence: float) -> Iterator[str]:

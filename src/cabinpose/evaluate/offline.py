@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from operator import itemgetter
 from typing import Any, NamedTuple, cast
 
@@ -39,6 +40,7 @@ from cabinpose.store import (
     Predictions,
     camera_of,
     dataset_skeleton,
+    empty_batch,
     frame_images,
     image_names,
     joint_dimension,
@@ -193,9 +195,15 @@ def samples_of(
         dataset, predicted = dataset.sel(person=list(persons)), tuple(p for p in model.persons if p in persons)
     true = [str(p) for p in dataset["person"].values]
     kept: list[_Kept] = []
-    chunks = _keeping(_chunks(dataset, model, skeleton, predicted, progress or (lambda _: None)), kept, dataset.sizes["frame"])
+    told: list[PoseBatch] = []
+    chunks = _keeping(
+        _chunks(dataset, model, skeleton, predicted, progress or (lambda _: None)), kept, told, dataset.sizes["frame"]
+    )
     samples = collect(chunks, skeleton, true, predicted, options)
-    return samples, _caveats(dataset, model, samples, kept, predicted, options)
+    caveats = _caveats(dataset, model, samples, kept, predicted, options)
+    words = joined(told)
+    notes = dict.fromkeys((*words.remarks, *caveats.notes))
+    return samples, replace(caveats, unseen=words.unseen, notes=tuple(notes))
 
 
 class _Kept(NamedTuple):
@@ -207,14 +215,15 @@ class _Kept(NamedTuple):
 
 
 def _keeping(
-    chunks: Iterable[tuple[TruthChunk, PoseBatch]], kept: list[_Kept], count: int
+    chunks: Iterable[tuple[TruthChunk, PoseBatch]], kept: list[_Kept], told: list[PoseBatch], count: int
 ) -> Iterator[tuple[TruthChunk, PoseBatch]]:
-    """The same chunks; about `TRIAL_FRAMES` of `count` frames, evenly spread, are kept."""
+    """The same chunks; about `TRIAL_FRAMES` of `count` frames, evenly spread, are kept, and of all what is told of them."""
     step, seen = -(-count // TRIAL_FRAMES), 0
     for truth, batch in chunks:
         rows = np.arange(-seen % step, len(truth.frame), step)
         some = TruthChunk._make(each[rows] for each in truth)
         kept.append(_Kept(seen + rows, some, batch.map(itemgetter(rows))))
+        told.append(replace(empty_batch(len(truth.frame), 0, 0), reason=batch.reason, remarks=batch.remarks))
         seen += len(truth.frame)
         yield truth, batch
 

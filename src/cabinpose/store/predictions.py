@@ -2,10 +2,10 @@
 
 Two encodings of one table, a row for each joint found: JSON lines (`.jsonl`), or Parquet (`.parquet`, with the extra `parquet`).
 Columns: `frame` (number in the dataset), `person` (slot), `joint` (name), `u`, `v` (px, or null), `x`, `y`, `z` (m, camera frame;
-all three, or null), `score`, `presence` (0..1), `expected_error_m` (m, or null). The header holds `format`, `version`, `model`,
-`skeleton`, `joints`, `persons`, and, where the writer knows it, `dataset`. In JSON lines the header is the first line and
-`{"rows": n}` the last, so that a file cut short is noticed; in Parquet the header is the value of the key `cabinpose` of the
-file's metadata.
+all three, or null), `score`, `presence` (0..1), `expected_error_m` (m, or null). A frame in which nobody can be seen has one row
+of `frame` and `reason`, behind all joints. The header holds `format`, `version`, `model`, `skeleton`, `joints`, `persons`, and,
+where the writer knows them, `dataset` and `remarks`. In JSON lines the header is the first line and `{"rows": n}` the last, so
+that a file cut short is noticed; in Parquet the header is the value of the key `cabinpose` of the file's metadata.
 
 A joint without a row was not found: what the file leaves out counts as missed, a whole frame too.
 """
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
@@ -27,8 +27,8 @@ from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsE
 FORMAT: Final = "cabinpose-predictions"
 VERSION: Final = 1
 _NUMBERS = ("u", "v", "x", "y", "z", "score", "presence", "expected_error_m")
-COLUMNS = ("frame", "person", "joint", *_NUMBERS)
-_HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset")
+COLUMNS = ("frame", "person", "joint", *_NUMBERS, "reason")
+_HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset", "remarks")
 _PARQUET_KEY = b"cabinpose"
 _ROW_BYTES = 8 * len(COLUMNS)  # of a table in memory
 _PROBABILITY = "give a number from 0 to 1: per cent divided by 100, a logit through the logistic function"
@@ -58,6 +58,7 @@ class Predictions(PoseBatch):
         batch = empty_batch(len(frames), len(self.persons), len(self.joints))
         for name in POSE_ARRAYS:
             getattr(batch, name)[known] = getattr(self, name)[at[known]]
+        batch.reason[known] = self.reason[at[known]]
         return batch
 
 
@@ -81,7 +82,9 @@ def check_new_predictions(file: Path, *, overwrite: bool) -> None:
 
 
 def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: bool = False) -> Path:
-    """Write a predictions file; it appears when it is whole. A joint gets a row if its position (in px or m) is finite.
+    """Write a predictions file; it appears when it is whole.
+
+    A joint gets a row if its position (in px or m) is finite, and a frame if there is a reason why nobody can be seen in it.
 
     Parameters
     ----------
@@ -104,7 +107,9 @@ def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: 
     """
     file = Path(path)
     check_new_predictions(file, overwrite=overwrite)
-    header = {"format": FORMAT, "version": VERSION} | {name: getattr(predictions, name) for name in _HEADER_KEYS[2:]}
+    header = {"format": FORMAT, "version": VERSION} | {name: getattr(predictions, name) for name in _HEADER_KEYS[2:-1]}
+    if predictions.remarks:
+        header["remarks"] = predictions.remarks
     with whole_file(file, kind=PredictionsError) as partial:
         if file.suffix == ".parquet":
             _write_parquet(partial, header, predictions)
@@ -152,6 +157,9 @@ def _rows(predictions: Predictions) -> Iterator[dict[str, Any]]:
             if np.isfinite(value := getattr(predictions, name)[f, p, j]):
                 row[name] = float(str(value))
         yield row
+    for frame, reason in zip(predictions.frame, predictions.reason, strict=True):
+        if reason:
+            yield {"frame": int(frame), "reason": str(reason)}
 
 
 def _found(predictions: Predictions) -> tuple[NDArray[np.int64], ...]:
@@ -220,11 +228,16 @@ def _write_parquet(path: Path, header: Mapping[str, Any], predictions: Predictio
 
     f, p, j = _found(predictions)
     numbers = np.column_stack([getattr(predictions, name)[f, p, j] for name in POSE_ARRAYS]).astype(np.float32)
+    blind = np.flatnonzero(predictions.reason != "")
+    none, no_numbers = [None] * len(blind), np.full((len(blind), len(_NUMBERS)), np.nan, np.float32)
+    numbers = np.concatenate((numbers, no_numbers))
     columns = {
-        "frame": pa.array(predictions.frame[f]),
-        "person": pa.array(np.array(predictions.persons)[p]),
-        "joint": pa.array(np.array(predictions.joints)[j]),
+        "frame": pa.array(predictions.frame[np.concatenate((f, blind))]),
+        "person": pa.array([*np.array(predictions.persons)[p].tolist(), *none], pa.string()),
+        "joint": pa.array([*np.array(predictions.joints)[j].tolist(), *none], pa.string()),
     } | {name: pa.array(numbers[:, i], from_pandas=True) for i, name in enumerate(_NUMBERS)}  # NaN becomes null
+    if blind.size:
+        columns["reason"] = pa.array([*[None] * len(f), *map(str, predictions.reason[blind])], pa.string())
     table = pa.table(columns).replace_schema_metadata({_PARQUET_KEY: json.dumps(header).encode()})
     parquet.write_table(table, path)
 
@@ -239,7 +252,7 @@ def _read_parquet(file: Path) -> tuple[dict[str, Any], Any]:
         head = parquet.read_metadata(file)
         groups = [head.row_group(i) for i in range(head.num_row_groups)]
         check_claim(file, max(_ROW_BYTES * head.num_rows, sum(group.total_byte_size for group in groups)))
-        table = parquet.read_table(file, read_dictionary=["person", "joint"])  # in which a long name stands once
+        table = parquet.read_table(file, read_dictionary=["person", "joint", "reason"])  # in which a long name stands once
         metadata = table.schema.metadata or {}
         header = json.loads(metadata.get(_PARQUET_KEY, b"null"))
     except (pa.ArrowException, ValueError, RecursionError) as error:
@@ -294,6 +307,9 @@ def _check_header(file: Path, header: Any) -> None:
         names = header.get(key)
         if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names) or len(set(names)) < len(names):
             raise PredictionsError(f"{file}: the header's '{key}' is no list of different names", hint=_DESCRIBED)
+    remarks = header.get("remarks", [])
+    if not isinstance(remarks, list) or not all(isinstance(remark, str) for remark in remarks):
+        raise PredictionsError(f"{file}: the header's 'remarks' are no list of texts", hint=_DESCRIBED)
     if not isinstance(header.get("model"), str):
         raise PredictionsError(f"{file}: the header does not name the model", hint='add `"model": "name"`')
 
@@ -309,9 +325,16 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
         lambda row: f": frame {numbered[row]!r} is no frame number",
         "frames are whole numbers from 0",
     )
+    told = _reasons(file, columns)
+    columns = {name: values[: len(values) - len(told)] for name, values in columns.items()}
     p = _positions(file, "person", columns["person"], persons)
     j = _positions(file, "joint", columns["joint"], joints)
-    frame, f = np.unique(np.array(numbered, np.int64), return_inverse=True)
+    frame, at = np.unique(np.array(numbered, np.int64), return_inverse=True)
+    f, blind = at[: len(p)], at[len(p) :]
+    twice = np.bincount(at, minlength=1)[blind] > 1
+    doubled = np.concatenate((np.zeros(len(p), bool), twice))
+    said = ": frame {} has rows beside its reason".format
+    _refuse(file, doubled, lambda row: said(numbered[row]), "a reason stands for all the frame's joints")
     values = {name: _numbers(file, name, columns[name]) for name in _NUMBERS}
     _check_values(file, values)
     cell = (f * len(persons) + p) * len(joints) + j
@@ -327,10 +350,26 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     batch.joints_3d[f, p, j] = np.stack((values["x"], values["y"], values["z"]), axis=-1)
     for name in ("score", "presence", "expected_error_m"):
         getattr(batch, name)[f, p, j] = values[name]
+    batch.reason[blind] = told
+    remarks = (*header.get("remarks", ()), *_remarks(columns))
     return Predictions(
-        **vars(batch) | {"remarks": tuple(_remarks(columns))}, frame=frame, persons=persons, joints=joints, model=header["model"],
+        **vars(replace(batch, remarks=remarks)), frame=frame, persons=persons, joints=joints, model=header["model"],
         skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"),
     )  # fmt: skip
+
+
+def _reasons(file: Path, columns: Mapping[str, list[Any]]) -> list[str]:
+    """The reasons of the last rows, which are those of frames in which nobody can be seen."""
+    given = columns["reason"]
+    there = np.array([reason is not None for reason in given], bool)
+    told = given[len(given) - int(there.sum()) :]
+    _refuse(file, there[: len(given) - len(told)], lambda _: " has a reason and stands before rows of joints", "write it last")
+    bad = np.zeros(len(given), bool)
+    for row in np.flatnonzero(there):
+        beside = any(columns[name][row] is not None for name in COLUMNS[1:-1])
+        bad[row] = beside or not isinstance(given[row], str) or not given[row].strip()
+    _refuse(file, bad, lambda _: ": a reason is a text beside the frame alone", "it says why nobody can be seen in the frame")
+    return told
 
 
 def _refuse(file: Path, wrong: NDArray[np.bool_], what: Callable[[int], str], hint: str) -> None:

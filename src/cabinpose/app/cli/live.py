@@ -152,6 +152,8 @@ def _record(frame: LiveFrame, found: tuple[Found, ...], live: Live) -> dict[str,
         "models": [
             {"model": f.model, "ms": round(f.ms, 3), "people": _people(f, model.persons, model.joints)}
             | ({"error": f.error} if f.error else {})
+            | ({"reason": str(f.poses.reason[0])} if f.poses.reason[0] else {})
+            | ({"remarks": [*f.poses.remarks]} if f.poses.remarks else {})
             for f, model in zip(found, live.models, strict=True)
         ],
     }
@@ -227,6 +229,9 @@ def _print(status: LiveStatus) -> None:
     for name, causes in status.causes.items():
         for cause, count in sorted(causes.items(), key=lambda item: -item[1]):
             print(printable(f"{name} failed {count} times: {cause}"), file=sys.stderr)
+    for name, reasons in status.unseen.items():
+        for reason, count in reasons.items():
+            print(printable(f"{name}: {count} of {status.frames} frames: nobody can be seen: {reason}"), file=sys.stderr)
 
 
 def _numbers(latency: Latency) -> tuple[str, str, str]:

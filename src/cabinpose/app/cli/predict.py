@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
@@ -68,7 +68,7 @@ def run(command: Predict) -> None:
     name = dataset_id(read_manifest(command.dataset))
     [model] = opened_models([command.model], dataset, command.joints_from, (name, command.dataset.resolve().name), command.images)
     tell_drive_side([model], command.drive_side)
-    count = dataset.sizes["frame"]
+    count, told = dataset.sizes["frame"], dict[str, Any]()
     if isinstance(model, Segmenter):
         if not of_parts:
             raise ConfigError(f"{model.name} finds body parts, which are images", hint=f"let --out end in {SUFFIX}")
@@ -90,8 +90,11 @@ def run(command: Predict) -> None:
                 predictions = predict_dataset(dataset, model, dataset_id=name, progress=report)
             tell_failed(model)
         write_predictions(command.out, predictions, overwrite=command.overwrite)
+        told = {"unseen": predictions.unseen, "remarks": predictions.remarks}
+        for reason, times in predictions.unseen.items():
+            print(printable(f"{times} of {count} frames: nobody can be seen: {reason}"), file=sys.stderr)
     if command.as_json:
-        print_json({"predictions": str(command.out), "model": model_name(model), "frames": count})
+        print_json({"predictions": str(command.out), "model": model_name(model), "frames": count} | told)
     else:
         print(command.out)
         print(f"score it with: cabinpose evaluate {command.dataset} --predictions {command.out}", file=sys.stderr)

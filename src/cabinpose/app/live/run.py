@@ -46,7 +46,8 @@ class Latency:
 @dataclass(frozen=True)
 class LiveStatus:
     """How it goes. rate_hz: frames answered a second, of late · latency: from the frame's arrival to all joints, ms ·
-    models: time in each detector, ms · failed: frames on which each detector gave no answer · causes: why, how often each.
+    models: time in each detector, ms · failed: frames on which each detector gave no answer · causes: why, how often each ·
+    unseen: frames in which nobody can be seen, by the reason that each detector gives · remarks: what else stood out to it.
     """
 
     frames: int
@@ -55,6 +56,8 @@ class LiveStatus:
     models: dict[str, Latency | None]
     failed: dict[str, int]
     causes: dict[str, dict[str, int]]
+    unseen: dict[str, dict[str, int]]
+    remarks: dict[str, list[str]]
     feed: FeedStatus
 
 
@@ -66,16 +69,34 @@ class _Answers:
     batches: list[PoseBatch] = field(default_factory=list)
     ms: array[float] = field(default_factory=lambda: array("d"))
     failed: int = 0
-    causes: dict[str, tuple[str, int]] = field(default_factory=dict)  # the first message, how often; by it without its numbers
+    causes: _Counted = field(default_factory=dict)
+    unseen: _Counted = field(default_factory=dict)
+    remarks: dict[str, None] = field(default_factory=dict)
 
     def count(self, error: str) -> None:
-        """Count a failure by its cause; messages that differ in numbers alone have one cause."""
+        """Count a failure by its cause."""
         self.failed += 1
-        key = re.sub(r"[0-9.]+", "0", error)
-        if key not in self.causes and len(self.causes) >= _MOST_CAUSES:
-            key = error = "other causes"
-        first, times = self.causes.get(key, (error, 0))
-        self.causes[key] = first, times + 1
+        _count(error, self.causes)
+
+    def note(self, poses: PoseBatch) -> None:
+        """Count what a detector says beside its answer to one frame."""
+        if reason := poses.reason[0]:
+            _count(reason, self.unseen)
+        for remark in poses.remarks:
+            if len(self.remarks) < _MOST_CAUSES:
+                self.remarks[remark] = None
+
+
+_Counted = dict[str, tuple[str, int]]  # the first message, how often; by it without its numbers
+
+
+def _count(message: str, known: _Counted) -> None:
+    """Count a message; those that differ in numbers alone are one."""
+    key = re.sub(r"[0-9.]+", "0", message)
+    if key not in known and len(known) >= _MOST_CAUSES:
+        key = message = "other causes"
+    first, times = known.get(key, (message, 0))
+    known[key] = first, times + 1
 
 
 class Live:
@@ -129,6 +150,7 @@ class Live:
         ms = 1e3 * (time.perf_counter() - began)
         if not error:
             answers.ms.append(ms)
+            answers.note(poses)
         if self._keep and not error:
             answers.numbers.append(frame.number)
             answers.batches.append(poses)
@@ -146,6 +168,8 @@ class Live:
             models={name: Latency.of(answers.ms[since:]) for name, answers in self._answers.items()},
             failed={name: answers.failed for name, answers in self._answers.items()},
             causes={name: dict(answers.causes.values()) for name, answers in self._answers.items()},
+            unseen={name: dict(answers.unseen.values()) for name, answers in self._answers.items()},
+            remarks={name: [*answers.remarks] for name, answers in self._answers.items()},
             feed=self.feed.status(),
         )
 

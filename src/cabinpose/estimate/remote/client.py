@@ -39,6 +39,7 @@ _TOLD = 20  # frames without an answer that are told one by one
 _TEXT = 300  # characters of a server's own words
 _USUAL_SIZE = (287, 352)
 _RECONNECT_MS = 100
+_REASON = "reason"
 _AWAY = (grpc.StatusCode.DEADLINE_EXCEEDED, grpc.StatusCode.UNAVAILABLE)
 _KEYS = ("timeout_s", "on_error", "images", "persons", "joints", "shared_memory", "max_message_mb")
 
@@ -238,6 +239,9 @@ class RemotePredictor:
                 hint = f"inputs are {', '.join(known)}; docs/algorithms.md has their shapes"
                 self._fail(f"wants an input {tensor.name[:64]!r} that there is not", hint)
         self._choose([tensor.name for tensor in metadata.inputs])
+        listed = {tensor.name for tensor in metadata.outputs}
+        # Who names no outputs is given all but the reason: programmes from before it know none.
+        self._asks = [spec.name for spec in OUTPUTS if spec.name in listed] if _REASON in listed else []
         for tensor in metadata.inputs:
             if "H" in known[tensor.name].shape and len(tensor.shape) >= 3 and all(0 < n <= MOST["H"] for n in tensor.shape[1:3]):
                 return int(tensor.shape[1]), int(tensor.shape[2])
@@ -294,6 +298,8 @@ class RemotePredictor:
             request.parameters["frame"].int64_param = number
         if stamp is not None:
             request.parameters["sync_ns"].int64_param = stamp
+        for name in self._asks:
+            request.outputs.add(name=name)
         shared = self._shared(request, arrays) if self._shares else False
         if not shared:
             add_tensors(request.inputs, request.raw_input_contents, arrays, INPUTS)
