@@ -154,6 +154,7 @@ def test_any_values_survive(data: st.DataObject, spheres: ModuleType, tmp_path_f
                 frame[variable.name] = data.draw(names if not shape else st.lists(names, min_size=shape[0], max_size=shape[0]))
             else:
                 frame[variable.name] = data.draw(hnp.arrays(variable.dtype, shape))
+        frame["camera_k"], frame["camera_dist"] = spheres.camera_k(5, 3), np.zeros(5)  # any others are no camera's
         frames.append(frame)
     folder = tmp_path_factory.mktemp("any")
     with create_dataset(folder, manifest), PartWriter(folder, manifest.parts[0], manifest) as part:

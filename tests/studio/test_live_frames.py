@@ -26,8 +26,8 @@ from cabinpose.app.studio.live_session import Shown
 from cabinpose.app.studio.models import first_choice, load_choice
 from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.workspace import Workspace, open_workspace
+from cabinpose.core import camera_from
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.estimate.inputs import camera_of
 from cabinpose.estimate.predictor import load_model
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.labels import read_labels
@@ -168,7 +168,9 @@ def test_cloud_is_of_the_pixels(live: list[Shown]) -> None:
     assert 1000 < len(points) == len(colours) <= 1.1 * MOST_LIVE
     depth = batch["depth"][0]
     forward, left, up = points.T
-    uv = camera_of(batch["camera_k"][0], batch["camera_dist"][0], *depth.shape[::-1]).project(np.stack((-left, -up, forward), 1))
+    uv = camera_from(batch["camera_k"][0], batch["camera_dist"][0], *depth.shape[::-1]).project(
+        np.stack((-left, -up, forward), 1)
+    )
     u, v = np.rint(uv).astype(int).T
     np.testing.assert_allclose(uv, np.stack((u, v), 1), atol=1e-6)
     np.testing.assert_allclose(forward, depth[v, u], rtol=1e-6)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cabinpose.align.suit import HANDS_M, Triple
-from cabinpose.core import AlignmentError, Camera, Matrix, is_rigid, write_whole
+from cabinpose.core import AlignmentError, Camera, Matrix, check_camera, is_rigid, write_whole
 from cabinpose.store import read_mapping, validated
 
 Row = tuple[float, float, float, float]
@@ -50,7 +50,7 @@ class Intrinsics(_Model):
     def model_post_init(self, context: object, /) -> None:
         """Refuses what no lens is."""
         del context
-        self.camera.check_lens("intrinsics")
+        check_camera(self.camera, "intrinsics")
 
     @property
     def camera(self) -> Camera:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cabinpose.core import Camera, ConfigError, DriveSide, Predictor, Segmenter, Visibility, require_images
-from cabinpose.estimate import JointPredictor, LiftedPredictor, Lifter, camera_of, lifted, open_model
+from cabinpose.core import Camera, ConfigError, DriveSide, Predictor, Segmenter, Visibility, camera_from, require_images
+from cabinpose.estimate import JointPredictor, LiftedPredictor, Lifter, lifted, open_model
 from cabinpose.estimate.remote import SCHEME, open_predictor
 from cabinpose.evaluate import check_predictions, model_name
 from cabinpose.store import Predictions, image_names, read_predictions
@@ -121,7 +121,7 @@ def _truth_2d(dataset: xr.Dataset) -> Predictions:
 
 
 def _cameras(dataset: xr.Dataset) -> list[Camera]:
-    """The camera of each frame; its size is that of the images, where there are any."""
+    """The camera of each frame."""
     k, dist = (dataset[name].values for name in ("camera_k", "camera_dist"))
-    width, height = (int(dataset.sizes.get(axis, 1)) for axis in ("x", "y"))
-    return [camera_of(a, b, width, height) for a, b in zip(k, dist, strict=True)]
+    width, height = (int(dataset.attrs[side]) for side in ("width", "height"))
+    return [camera_from(a, b, width, height) for a, b in zip(k, dist, strict=True)]

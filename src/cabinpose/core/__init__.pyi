@@ -11,6 +11,11 @@ from .arrays import Ints32 as Ints32
 from .arrays import distinct_rows as distinct_rows
 from .camera import Camera as Camera
 from .camera import Distortion as Distortion
+from .camera_check import camera_doubts as camera_doubts
+from .camera_check import camera_from as camera_from
+from .camera_check import check_camera as check_camera
+from .camera_check import forget_told_cameras as forget_told_cameras
+from .camera_check import known_camera as known_camera
 from .errors import AlignmentError as AlignmentError
 from .errors import AssetError as AssetError
 from .errors import CabinposeError as CabinposeError

@@ -21,11 +21,6 @@ from cabinpose.core.errors import ConfigError
 Array = NDArray[np.float64]
 Distortion = tuple[float, float, float, float, float]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
-# What a lens can be, see `Camera.check_lens`: field of view, share of pixels that have a ray, how far distortion moves a ray.
-_NARROWEST_DEG, _WIDEST_DEG = 1.0, 170.0
-_FEWEST_RAYS, _NEAREST, _FARTHEST = 1 / 3, 1 / 3, 8.0
-_FARTHEST_CENTRE = 2.0  # of the principal point from the middle of the image, over half the image
-_GRID = 17  # points a side that are looked at
 _ROUNDED = 1e-7  # of the size of a cubic's coefficients: a double root at 0 is as far off by rounding
 _TANGENTIAL = 1.02  # what tangential distortion may add to the radius at which the model folds
 
@@ -51,42 +46,6 @@ class Camera:
             raise ConfigError(
                 f"principal point and distortion are finite, not {self.cx}, {self.cy} and {self.dist}",
                 hint="give cx and cy in pixels, dist as k1 k2 p1 p2 k3",
-            )
-
-    def check_lens(self, whose: str) -> None:
-        """Raise ConfigError where no lens is like this, as after a mistaken unit or exponent; `whose` begins the message.
-
-        The field of view is 1 to 170 degrees, the principal point at most half an image off the image. Of the pixels a third at
-        least have a ray: the others are beyond `monotonic_radius`. Distortion brings no pixel's ray nearer to the axis than to
-        a third of where it would be without, and takes none farther than eight times that.
-        """
-        size, size_text = (self.width, self.height), f"{self.width}x{self.height} image"
-        fov = [2 * math.degrees(rp.arctan(n / (2 * f))) for n, f in zip(size, (self.fx, self.fy), strict=True)]
-        if max(fov) < _NARROWEST_DEG or max(fov) > _WIDEST_DEG:
-            raise ConfigError(
-                f"{whose}: fx {self.fx:g} px, fy {self.fy:g} px are a field of view of {fov[0]:.3g} x {fov[1]:.3g} degrees",
-                hint=f"give fx and fy in pixels of the {size_text}",
-            )
-        if max(abs(2 * c - n + 1) / n for n, c in zip(size, (self.cx, self.cy), strict=True)) > _FARTHEST_CENTRE:
-            raise ConfigError(
-                f"{whose}: the principal point {self.cx:g}, {self.cy:g} is far outside the {size_text}",
-                hint="give cx and cy in pixels; an integer is a pixel's centre",
-            )
-        u, v = np.meshgrid(np.linspace(0, self.width - 1, _GRID), np.linspace(0, self.height - 1, _GRID))
-        bent = np.stack(((u - self.cx) / self.fx, (v - self.cy) / self.fy), axis=-1)
-        off = np.linalg.norm(bent, axis=-1)
-        factor = np.linalg.norm(self.undistort(bent), axis=-1)[off > 0] / off[off > 0]
-        seen = np.isfinite(factor)
-        if self.is_distorted and seen.mean() < _FEWEST_RAYS:
-            raise ConfigError(
-                f"{whose}: with distortion {self.dist} only {100 * seen.mean():.0f} % of the pixels have a ray",
-                hint="give dist as OpenCV's k1 k2 p1 p2 k3, fitted to this image",
-            )
-        if not ((factor[seen] > _NEAREST) & (factor[seen] < _FARTHEST)).all():
-            raise ConfigError(
-                f"{whose}: distortion {self.dist} moves rays to {factor[seen].min():.2g} to {factor[seen].max():.2g} times their"
-                " distance from the axis",
-                hint="give dist as OpenCV's k1 k2 p1 p2 k3, of coordinates in focal lengths, not pixels",
             )
 
     @cached_property

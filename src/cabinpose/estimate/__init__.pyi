@@ -18,7 +18,6 @@ from .frame_dataset import FrameDataset as FrameDataset
 from .inputs import TICK_M as TICK_M
 from .inputs import InputView as InputView
 from .inputs import Kept as Kept
-from .inputs import camera_of as camera_of
 from .joint_predictor import JointPredictor as JointPredictor
 from .lifter import LiftedPredictor as LiftedPredictor
 from .lifter import Lifter as Lifter

@@ -16,9 +16,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
-from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility, camera_from
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.inputs import TICK_M, InputView, Kept, camera_of, channels_first
+from cabinpose.estimate.inputs import TICK_M, InputView, Kept, channels_first
 from cabinpose.store import joint_dimension, joints_variable
 
 _IMAGES = {"depth": 2, "amplitude": 2, "labels": 1, "rgb": 3}  # bytes of a pixel as it is kept
@@ -166,7 +166,7 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
         visibility = np.where((visibility > 1) & ~view.camera.contains(uvz[..., :2]), Visibility.OUTSIDE_IMAGE, visibility)
     images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in _IMAGES}
     for name in spec.images:
-        source = camera_of(frame["camera_k"], frame["camera_dist"], *frame[name].shape[1::-1])
+        source = camera_from(frame["camera_k"], frame["camera_dist"], *frame[name].shape[1::-1])
         if name == spec.depth_image:
             images["depth"] = np.round(view.depth(frame[name], source) / TICK_M)
         else:

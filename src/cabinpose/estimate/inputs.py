@@ -88,18 +88,6 @@ def channels_first(pictures: NDArray[np.generic]) -> NDArray[np.generic]:
     return np.moveaxis(pictures, -1, -3)
 
 
-def camera_of(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
-    """The camera of one frame's `camera_k` (3, 3) and `camera_dist` (5,); the same object for the same numbers."""
-    return _camera(np.asarray(k, np.float64).tobytes(), np.asarray(dist, np.float64).tobytes(), width, height)
-
-
-@lru_cache(maxsize=64)
-def _camera(k: bytes, dist: bytes, width: int, height: int) -> Camera:
-    (fx, _, cx), (_, fy, cy), _ = np.frombuffer(k).reshape(3, 3).tolist()
-    k1, k2, p1, p2, k3 = np.frombuffer(dist).tolist()
-    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-
-
 class _Nearest(NamedTuple):
     """at: (h, w) flat index of another camera's pixel, the nearest to each · outside: flat positions that have none."""
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import POSE_ARRAYS, Camera, ConfigError, FrameBatch, PoseBatch, joined
+from cabinpose.core import POSE_ARRAYS, Camera, ConfigError, FrameBatch, PoseBatch, camera_doubts, joined
 from cabinpose.estimate.expected_error import expected_errors
 from cabinpose.estimate.found import Found, mirrored
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, image_in, slices, view_inputs
@@ -72,13 +72,13 @@ class JointPredictor:
         for remark in remarks[:1]:
             self._warn_once("covered", remark)
         if not any(told):
-            return replace(poses, remarks=remarks) if remarks else poses
+            return replace(poses, remarks=(*poses.remarks, *remarks)) if remarks else poses
         blind = np.array([bool(reason) for reason in told])
         for name in POSE_ARRAYS:
             getattr(poses, name)[blind] = 0.0 if name in ("score", "presence") else np.nan
         first = next(filter(None, told))
         self._warn_once("blind", f"a frame in which {self.name} cannot see anybody: {first}; it has no joints")
-        return replace(poses, reason=np.array(told, object), remarks=remarks)
+        return replace(poses, reason=np.array(told, object), remarks=(*poses.remarks, *remarks))
 
     def _warn_once(self, what: str, words: str) -> None:
         """Warn, the first time that there is anything of this kind to say."""
@@ -144,12 +144,12 @@ class JointPredictor:
             joints_2d (P, J, 2) px, joints_3d (P, J, 3) m in the camera frame, score and presence (P, J), for the slots
             `persons` and the joints `joints`, with expected_error_m (P, J) where the model's confidence is calibrated; with N
             before that for many frames. reason, an array () of one text, or (N,), says why a frame in which nobody can be seen
-            has no answer.
+            has no answer; remarks, texts, what speaks against the camera, and what stood out in the frames.
 
         Raises
         ------
         ConfigError
-            For shapes that do not fit, depths that are no metres, or amplitudes that are missing.
+            For shapes that do not fit, depths that are no metres, amplitudes that are missing, or a camera that cannot be.
         """
         depth = np.asarray(depth_m)
         one = depth.ndim == 2
@@ -211,4 +211,5 @@ class JointPredictor:
             joints_2d[n] = view.pixels(found.uv[n], camera)
         arrays = joints_2d, found.joints_3d, found.score, found.presence
         expected = expected_errors(self.model.expected_error, self.joints, found)
-        return PoseBatch(*(a.astype(np.float32) for a in arrays), expected_error_m=expected.astype(np.float32))
+        remarks = tuple(dict.fromkeys(doubt for camera in cameras for doubt in camera_doubts(camera)))
+        return PoseBatch(*(a.astype(np.float32) for a in arrays), expected_error_m=expected.astype(np.float32), remarks=remarks)

@@ -16,10 +16,10 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError, check_onnx, open_onnx, run_onnx
+from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError, camera_from, check_onnx, open_onnx, run_onnx
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
-from cabinpose.estimate.inputs import InputView, camera_of, channels_first
+from cabinpose.estimate.inputs import InputView, channels_first
 from cabinpose.estimate.methods import Method, NetworkMethod, method_of
 
 METADATA_KEY = "cabinpose"
@@ -147,12 +147,12 @@ def image_in(frames: FrameBatch) -> NDArray[Any]:
 
 
 def cameras_of(frames: FrameBatch, which: slice) -> list[Camera]:
-    """The camera of each of some frames."""
+    """The camera of each of some frames. Raises ConfigError where one cannot be."""
     count, height, width = image_in(frames)[which].shape[:3]
     k, dist = np.asarray(frames["camera_k"]), np.asarray(frames["camera_dist"])
     each_k = [k] * count if k.ndim == 2 else k[which]
     each_dist = [dist] * count if dist.ndim == 1 else dist[which]
-    return [camera_of(m, d, width, height) for m, d in zip(each_k, each_dist, strict=True)]
+    return [camera_from(m, d, width, height) for m, d in zip(each_k, each_dist, strict=True)]
 
 
 def view_inputs(

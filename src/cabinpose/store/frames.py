@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from cabinpose.core import CABINPOSE, IMAGES, SKELETONS, Camera, DatasetError, Skeleton, Visibility, skeleton_with
+from cabinpose.core import CABINPOSE, IMAGES, SKELETONS, Camera, DatasetError, Skeleton, Visibility, camera_from, skeleton_with
 from cabinpose.store.schema import joint_dimension
 
 if TYPE_CHECKING:
@@ -28,17 +28,9 @@ _PLACED_BY = {
 
 
 def camera_of(frame: xr.Dataset, width: int, height: int) -> Camera:
-    """The camera of one frame of a dataset."""
-    return camera_from(frame["camera_k"].values, frame["camera_dist"].values, width, height)
-
-
-def camera_from(k: NDArray[np.float64], dist: NDArray[np.float64], width: int, height: int) -> Camera:
-    """The camera of `camera_k` (3, 3) and `camera_dist` (5,); DatasetError where they are not known."""
-    if not np.isfinite(k).all():
-        raise DatasetError("the dataset does not know its camera's intrinsics", hint="import it again with --intrinsics")
-    (fx, _, cx), (_, fy, cy), _ = k.tolist()
-    k1, k2, p1, p2, k3 = dist.tolist()
-    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    """The checked camera of one frame of a dataset. Raises DatasetError where it cannot be, or is not known."""
+    k, dist = frame["camera_k"].values, frame["camera_dist"].values
+    return camera_from(k, dist, width, height, whose="the dataset's camera_k", error=DatasetError)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from cabinpose.core import DatasetError
-from cabinpose.store.frames import camera_from
+from cabinpose.core import DatasetError, camera_from, known_camera
 from cabinpose.store.part_facts import PartFacts, check_part
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, dataset_id, read_manifest, variable_attributes
 from cabinpose.store.shard import read_frames, read_whole
@@ -77,7 +76,17 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         "uv": ["u", "v"],
     }
     dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, facts))
+    _check_cameras(path, variables, manifest)
     return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
+
+
+def _check_cameras(path: Path, variables: Mapping[str, xr.Variable], manifest: Manifest) -> None:
+    """Raise DatasetError where the camera of the first or the last frame cannot be; reading all takes long in many parts."""
+    ends = [0, variables["camera_k"].shape[0] - 1]
+    k, dist = (variables[name][ends].values for name in ("camera_k", "camera_dist"))
+    for row, its_k, its_dist in zip(ends, k, dist, strict=True):
+        whose = f"{path}: camera_k of the {'last' if row else 'first'} frame"
+        known_camera(its_k, its_dist, manifest.width, manifest.height, whose=whose, error=DatasetError)
 
 
 def _indices(plan: PartPlan, part: PartFacts) -> NDArray[np.int64]:
@@ -233,4 +242,5 @@ def _metres(scale: float) -> NDArray[np.float32]:
 @lru_cache(maxsize=64)
 def _rays(k: bytes, dist: bytes, width: int, height: int) -> NDArray[np.float32]:
     """(height, width, 2) normalised coordinates of a camera given by its raw float64 intrinsics."""
-    return camera_from(np.frombuffer(k).reshape(3, 3), np.frombuffer(dist), width, height).rays.astype(np.float32)
+    camera = camera_from(np.frombuffer(k).reshape(3, 3), np.frombuffer(dist), width, height, error=DatasetError)
+    return camera.rays.astype(np.float32)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import DatasetError, output_errors, stage_of, unwritable, whole_folder
+from cabinpose.core import DatasetError, known_camera, output_errors, stage_of, unwritable, whole_folder
 from cabinpose.store.dataset import create_dataset
 from cabinpose.store.part import PartWriter
 from cabinpose.store.schema import MANIFEST_NAME, Manifest
@@ -104,6 +104,8 @@ def _fill(source: Source, folder: Path, report: Report | None) -> None:
                     frame = next(frames, None)
                     if frame is None:
                         raise DatasetError(f"{source.path} ended after {done} frames", hint="it changed while it was read")
+                    k, dist = frame["camera_k"], frame["camera_dist"]
+                    known_camera(k, dist, manifest.width, manifest.height, whose=f"{source.path}: camera_k", error=DatasetError)
                     part.append(frame)
                     done += 1
                     if report is not None:

@@ -157,7 +157,9 @@ def _done(verb: str, rest: list[str]) -> int:
         if twice := next((flag for flag in flags if flags.count(flag) > 1), None):  # the last one alone would count
             raise CabinposeError(f"{twice} is given twice", hint=f"give all its values behind one: {twice} A B")
         command = parsed(verb, module.COMMAND, words, _summary(verb))
-        from cabinpose.core import check_output
+        from cabinpose.core import check_output, forget_told_cameras
+
+        forget_told_cameras()
 
         for name in ("out", "report"):  # before the work, which would be lost
             if isinstance(path := getattr(command, name, None), Path):

@@ -136,11 +136,11 @@ def _walls(path: Path, command: CalibrateNoise, sensor: Sensor | None, distance_
 def _camera(k: NDArray[Any], dist: NDArray[Any], shape: tuple[int, ...]) -> Camera | None:
     import numpy as np
 
-    from cabinpose.estimate import camera_of
+    from cabinpose.core import camera_from
 
     if not (np.isfinite(k).all() and k[0, 0] > 0):
         return None
-    return camera_of(k, np.nan_to_num(dist), shape[1], shape[0])
+    return camera_from(k, np.nan_to_num(dist), shape[1], shape[0])
 
 
 def _of_recording(path: Path, source: str | None) -> tuple[Camera | None, float, Frames]:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.pictures import row_of
 from cabinpose.app.view.draw import PERSON_COLOUR, cloud_colours
-from cabinpose.core import FORWARD_FROM_CAMERA, CabinposeError, FrameBatch, apply, transform
-from cabinpose.estimate import camera_of
+from cabinpose.core import FORWARD_FROM_CAMERA, CabinposeError, FrameBatch, apply, camera_from, transform
 from cabinpose.store import points_m
 
 MOST_POINTS = 60_000  # of a cloud in the browser: more cost frames a second and show nothing new
@@ -45,7 +44,7 @@ def live_cloud(frame: FrameBatch) -> tuple[NDArray[np.float64], NDArray[np.uint8
     depth = frame["depth"][0]
     height, width = depth.shape
     step = math.ceil(math.sqrt(depth.size / MOST_LIVE))
-    points = camera_of(frame["camera_k"][0], frame["camera_dist"][0], width, height).points(depth)[::step, ::step]
+    points = camera_from(frame["camera_k"][0], frame["camera_dist"][0], width, height).points(depth)[::step, ::step]
     amplitude = frame["amplitude"][0][::step, ::step] if "amplitude" in frame else None
     return _coloured(points, amplitude, np.zeros(points.shape[:2], np.uint8), transform(FORWARD_FROM_CAMERA))
 

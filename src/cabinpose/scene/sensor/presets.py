@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core import Camera, ConfigError, Registry
+from cabinpose.core import Camera, ConfigError, Registry, check_camera
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Ratios of two frequencies beyond this leave less than 1/20 of a turn for the noise of each phase.
@@ -89,7 +89,7 @@ class Sensor(BaseModel):
     def model_post_init(self, context: object, /) -> None:
         """Checks that fields fit each other."""
         del context
-        self.camera.check_lens(f"sensor '{self.name}'")
+        check_camera(self.camera, f"sensor '{self.name}'")
         near, far = self.range_m
         if not 0 <= near < far:
             raise ConfigError(

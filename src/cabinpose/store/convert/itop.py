@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility, check_claim, interrupts_held
+from cabinpose.core import CABINPOSE, ITOP, Camera, DatasetError, Visibility, camera_from, check_claim, interrupts_held
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptions
 from cabinpose.store.convert.itop_correct import corrected
 from cabinpose.store.convert.reading import Origin, check_projection, given_camera, make_manifest, put_camera, put_person
@@ -266,9 +266,9 @@ def _of_npz(path: Path, options: ItopImport, correction: _Correction) -> Source:
     count, height, width = batch["depth"].shape
     if len(reference.joints_3d) != count:
         raise DatasetError(f"{path} has {count} frames and joints of {len(reference.joints_3d)}", hint="is it whole?")
-    k = batch["camera_k"]
-    own = Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
-    camera = given_camera(options, (width, height)) or own
+    camera = given_camera(options, (width, height))
+    if camera is None:
+        camera = camera_from(batch["camera_k"], np.zeros(5), width, height, whose=f"{path}: camera_k", error=DatasetError)
     pov = _pov(path)
     manifest = make_manifest(
         Origin("itop", path, options), frames=count, size=(width, height), persons=(PERSON,),
@@ -432,8 +432,8 @@ def _camera(depth: Any, index: int, size: tuple[int, int], options: ItopImport) 
     if given is not None:
         return given
     k = depth["camera_k"][index] if "camera_k" in depth else K
-    dist = depth["camera_dist"][index].tolist() if "camera_dist" in depth else (0.0,) * 5
-    return Camera(*size, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), tuple(dist))
+    dist = depth["camera_dist"][index] if "camera_dist" in depth else np.zeros(5)
+    return camera_from(k, dist, *size, whose=f"frame {index}: camera_k", error=DatasetError)
 
 
 def _frames(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cabinpose import __version__
-from cabinpose.core import Camera, ConfigError, DatasetError, Visibility
+from cabinpose.core import Camera, ConfigError, DatasetError, Visibility, check_camera
 from cabinpose.store.convert.format import ImportOptions
 from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import UNKNOWN
@@ -54,9 +54,7 @@ def given_camera(options: ImportOptions, size: tuple[int, int]) -> Camera | None
     """The camera that the user gave, for images of a size (width, height)."""
     if options.intrinsics is None:
         return None
-    camera = Camera(*size, *options.intrinsics)
-    camera.check_lens("--intrinsics")
-    return camera
+    return check_camera(Camera(*size, *options.intrinsics), "--intrinsics")
 
 
 class Origin(NamedTuple):

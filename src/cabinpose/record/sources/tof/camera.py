@@ -7,14 +7,13 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core import Camera, fit_camera
+from cabinpose.core import Camera, check_camera, fit_camera
 from cabinpose.record.sources.base import DeviceSource
 from cabinpose.signals import FRAME_IMAGES, Facts, HostClock, Message, Sample, ToFFrame
 
@@ -37,14 +36,7 @@ class Lens(BaseModel):
 
     def camera(self, width: int, height: int) -> Camera:
         """The camera of images of a size."""
-        return _checked(Camera(width, height, self.fx, self.fy, self.cx, self.cy, self.dist))
-
-
-@lru_cache(maxsize=16)
-def _checked(camera: Camera) -> Camera:
-    """The camera itself, or ConfigError where no lens is like that; worked out once, not with every frame."""
-    camera.check_lens("lens")
-    return camera
+        return check_camera(Camera(width, height, self.fx, self.fy, self.cx, self.cy, self.dist), "lens")
 
 
 class CameraSettings(BaseModel):
