@@ -13,16 +13,34 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 import cabinpose
-from cabinpose.core import Camera, ConfigError, DatasetError, camera_doubts, camera_from, check_camera, forget_told_cameras
+from cabinpose.align.board import Board
+from cabinpose.align.boardtake import BoardViews
+from cabinpose.align.corners import corners_or_reason
+from cabinpose.align.judge import Placed, believed, judge_head, judge_joints
+from cabinpose.align.session import Session, placed
+from cabinpose.core import (
+    AlignmentError,
+    Camera,
+    ConfigError,
+    DatasetError,
+    apply,
+    camera_doubts,
+    camera_from,
+    check_camera,
+    forget_told_cameras,
+)
 from cabinpose.estimate import JointPredictor, load_model
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.store import Manifest, PartWriter, Source, create_dataset, import_source, open_dataset
 from cabinpose.store.convert.ntu import KINECT_V2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "store"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "align"))
 
+import boards
 import sphere_people
 
 F64 = np.ndarray[Any, np.dtype[np.float64]]
@@ -219,3 +237,73 @@ def test_a_true_and_an_unknown_camera_are_imported_and_opened_in_silence_and_a_d
     said = json.loads(run("info", folder, "--json").out)
     assert ["an image of about 32x24 pixels" in text for text in said["warnings"]] == [True]
     assert "warnings" not in json.loads(run("info", tmp_path / "true", "--json").out)
+
+
+@pytest.fixture(scope="module")
+def board_shown() -> BoardViews:
+    """Ten views of a board as camera and optical system saw it, rendered; the board is 9 x 6 corners of squares of 0.06 m."""
+    count = len(boards.POSES)
+    images, corners = (tuple(f(k) for k in range(count)) for f in (boards.picture, partial(boards.corners_seen, noise=False)))
+    world_from_camera = np.diag((1.0, -1.0, -1.0, 1.0))
+    p_world = np.stack([apply(world_from_camera @ pose, boards.BOARD.marker_centres) for pose in boards.POSES])
+    return BoardViews(boards.CAMERA, images, corners, ("",) * count, p_world, count, 0)
+
+
+def believed_of(shown: BoardViews, **wrong: Any) -> list[str]:
+    """What is said of the views for a board that is described wrongly."""
+    board = Board(**wrong)
+    views = shown if "rows" not in wrong else replace(shown, corners=tuple(corners_or_reason(i, board)[0] for i in shown.images))
+    session = Session(board_take=Path("none"), pendulum_take=Path("none"))
+
+    def place(other: Board, of_it: BoardViews) -> Placed:
+        return placed(session.model_copy(update={"board": other}), of_it)
+
+    return believed(board, views, place)[1]
+
+
+def test_a_board_as_described_is_believed_and_one_slightly_off_doubted(board_shown: BoardViews) -> None:
+    assert believed_of(board_shown) == []
+    assert "doubtful: held-out views, px" in believed_of(board_shown, square_m=0.0604)[0]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"square_m": 0.0615}, "squares of 0.0600 m in place of 0.0615"),
+        ({"square_m": 0.05}, "squares of 0.0600 m in place of 0.05"),
+        ({"columns": 6, "rows": 9}, "columns and rows exchanged, 9 columns and 6 rows,"),
+    ],
+    ids=["2.5 % too large", "0.05 m", "columns and rows exchanged"],
+)
+def test_a_board_described_wrongly_is_refused_with_the_cause(board_shown: BoardViews, wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(AlignmentError, match=rf"{said} give \d.\d+ px and \d.\d+ mm") as error:
+        believed_of(board_shown, **wrong)
+    assert said in str(error.value.hint)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"marker_radius_m": 7.0}, r"a marker's radius of 7 m.*are they millimetres \(0.007 m\)"),
+        ({"square_m": 60.0}, r"squares of 60 m.*are they millimetres \(0.06 m\)"),
+        ({"markers": {"a": (-110.0, 0.0, 0.0), "b": (590.0, 0.0, 0.0), "c": (0.0, 340.0, 0.0)}}, "a marker's place of 590 m"),
+    ],
+    ids=["marker's radius", "squares", "markers' places"],
+)
+def test_a_board_in_millimetres_is_refused(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        Board(**wrong)
+
+
+def test_the_heads_of_a_take_are_judged() -> None:
+    assert judge_head(0.63, 0.43) == ""
+    assert judge_head(1.9, 1.0) == ""  # as in its own head take
+    assert "1.2 deg apart (rms), where 1.0 are usual: the calibration is of another session" in judge_head(1.2, 0.43)
+    with pytest.raises(AlignmentError, match=r"11.0 deg apart \(rms\), 8 allowed") as error:
+        judge_head(11.0, 0.43)
+    assert "the cap" in str(error.value.hint)
+
+
+def test_joints_before_the_surface_are_judged() -> None:
+    assert judge_joints(0.004) == judge_joints(float("nan")) == ""
+    assert "12 % of the joints lie before the measured surface, and 5 % are usual" in judge_joints(0.12)

@@ -10,6 +10,7 @@ from .calibration import PoseCorrection as PoseCorrection
 from .dataset import AlignedTakes as AlignedTakes
 from .dataset import TakeReport as TakeReport
 from .dataset import align_takes as align_takes
+from .judge import judge_joints as judge_joints
 from .posture import n_pose as n_pose
 from .posture import pose_shifts as pose_shifts
 from .posture import shifted as shifted

@@ -11,6 +11,23 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Triple = tuple[float, float, float]
 
 
+# Of what a board can have, m: what is held before a camera is a metre or two, and markers are spheres of 3 to 25 mm.
+_LARGEST_SQUARE_M, _LARGEST_RADIUS_M, _FARTHEST_MARKER_M = 0.5, 0.05, 3.0
+
+
+def _check_sizes(square_m: float, radius_m: float, farthest_m: float) -> None:
+    """Raise ValueError for what no board has, which is what millimetres for metres give."""
+    for what, size, most in (
+        ("squares", square_m, _LARGEST_SQUARE_M),
+        ("a marker's radius", radius_m, _LARGEST_RADIUS_M),
+        ("a marker's place", farthest_m, _FARTHEST_MARKER_M),
+    ):
+        if size > most:
+            raise ValueError(
+                f"{what} of {size:g} m, and no board has more than {most:g} m: are they millimetres ({size / 1000:g} m)?"
+            )
+
+
 class Board(BaseModel):
     """A checkerboard. Board frame: origin in the first inner corner, x along a row, y along a column, z into the board.
 
@@ -36,6 +53,7 @@ class Board(BaseModel):
 
     @model_validator(mode="after")
     def _tells_its_turns(self) -> Self:
+        _check_sizes(self.square_m, self.marker_radius_m, np.abs(self.marker_centres).max(initial=0.0))
         if (self.columns + self.rows) % 2 == 0:
             raise ValueError("one of columns and rows has to be odd, the other even: such a board looks different upside down")
         return self

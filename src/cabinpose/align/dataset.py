@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from cabinpose import __version__
 from cabinpose.align.calibration import Calibration
+from cabinpose.align.judge import judge_head
 from cabinpose.align.project import Aligned, align_take
+from cabinpose.align.streams import naming
 from cabinpose.align.visibility import visibility
 from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
@@ -159,6 +161,11 @@ def align_takes(
             take = recording.take if drive_side is None else recording.take.model_copy(update={"drive_side": drive_side})
             takes.append(_joined(path, sequence, take, people, calibration, correct_pose))
             warnings += filter(None, (_other_side(takes[-1], calibration), takes[-1].unknown_side))
+            for _, report in takes[-1].people:
+                calibrated = calibration.head(report.subject).residual_rad
+                with naming(recording, report.subject):
+                    doubt = judge_head(report.head_deg[0], None if calibrated is None else float(np.degrees(calibrated)))
+                warnings += [f"{path.name}: {report.subject}: {doubt}"] if doubt else []
     reports = [report for each in takes for _, report in each.people]
     places = tuple(dict.fromkeys(report.person for report in reports))
     persons = OCCUPANT_SLOTS if set(places) <= set(OCCUPANT_SLOTS) else places

@@ -29,6 +29,7 @@ from cabinpose.align.chain import rigid
 from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points
 from cabinpose.align.head import HeadAlignment, HeadOffset, align_head, head_offset, measured_offset
 from cabinpose.align.intrinsics import IntrinsicsResult, calibrate_from_corners
+from cabinpose.align.judge import Placed, believed
 from cabinpose.align.pendulum import brightest_blob
 from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
@@ -127,11 +128,11 @@ def calibrate(session: Session) -> Calibrated:
     names = session.names
     with _opened(session.board_take) as recording:
         views = board_views(recording, names, session.board)
-        with naming(recording, "the lens"):
-            lens, camera = _lens(session, views)
-        with naming(recording, "the camera's place"):
-            by_markers, by_corners = _extrinsics(session, views, camera)
-            camera = by_corners.camera or camera
+        with naming(recording, "the camera"):
+            found, warnings = believed(
+                session.board, views, lambda board, seen: placed(session.model_copy(update={"board": board}), seen)
+            )
+    lens, camera, by_markers, by_corners = found.lens, found.camera, found.by_markers, found.by_corners
     step = "the marker in the image (a) against the optical one (b)"
     with _opened(session.pendulum_take) as recording, naming(recording, step):
         delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
@@ -171,7 +172,7 @@ def calibrate(session: Session) -> Calibrated:
         },
         vehicle_from_world=session.vehicle_from_world,
     )  # fmt: skip
-    warnings = [f"{take}: {what}" for take, recorded in hosts.items() for what in calibration.differences(recorded)]
+    warnings += [f"{take}: {what}" for take, recorded in hosts.items() for what in calibration.differences(recorded)]
     return Calibrated(calibration, views, lens, by_markers, by_corners, delay, heads, warnings)
 
 
@@ -179,6 +180,13 @@ def _opened(path: Path) -> Recording:
     if not path.exists():
         raise AlignmentError(f"{path} does not exist", hint="the session names the recordings, relative to its own folder")
     return Recording(path)
+
+
+def placed(session: Session, views: BoardViews) -> Placed:
+    """Lens and place of the camera by the views of the session's board. Raises AlignmentError."""
+    lens, camera = _lens(session, views)
+    by_markers, by_corners = _extrinsics(session, views, camera)
+    return Placed(views, lens, by_corners.camera or camera, by_markers, by_corners)
 
 
 def _lens(session: Session, views: BoardViews) -> tuple[IntrinsicsResult | None, Camera]:

@@ -19,8 +19,6 @@ from cabinpose.core import ConfigError, DriveSide
 if TYPE_CHECKING:
     from cabinpose.align import TakeReport
 
-_WARN_FLOATING = 0.05
-
 
 @dataclass(frozen=True, kw_only=True)
 class Align(PrintsJson):
@@ -57,7 +55,7 @@ COMMAND = Align
 def run(command: Align) -> None:
     """Align and write, with a progress bar; say what was left out of each take, and how well the joints fit the depth."""
     require("record")
-    from cabinpose.align import Calibration, align_takes
+    from cabinpose.align import Calibration, align_takes, judge_joints
     from cabinpose.store import check_new_dataset, import_source
 
     if not command.recordings:
@@ -80,8 +78,14 @@ def run(command: Align) -> None:
         write_head_page(
             folder, [(take.sequence, take.recording, take.subject, take.person) for take in takes.reports], command.report
         )
+    doubts = [f"{take.recording}: {doubt}" for take in takes.reports if (doubt := judge_joints(take.floating))]
+    for doubt in doubts:
+        print(doubt, file=sys.stderr)
     if command.as_json:
-        print_json({"out": str(folder), "frames": takes.source.manifest.frames, "takes": [_plain(r) for r in takes.reports]})
+        told = {"warnings": [*takes.warnings, *doubts]} if takes.warnings or doubts else {}
+        print_json(
+            {**told, "out": str(folder), "frames": takes.source.manifest.frames, "takes": [_plain(r) for r in takes.reports]}
+        )
         return
 
     def rows_of(take: TakeReport) -> list[tuple[str, str]]:
@@ -101,13 +105,6 @@ def run(command: Align) -> None:
         ]
 
     print_rows([row for take in takes.reports for row in rows_of(take)])
-    for take in takes.reports:
-        if take.floating > _WARN_FLOATING:
-            print(
-                f"{take.recording}: {100 * take.floating:.0f} % of the joints lie before the measured surface:"
-                " look at the skeleton on the images before you trust it",
-                file=sys.stderr,
-            )
     print(f"look at it with: cabinpose view {folder} --out {folder}-view", file=sys.stderr)
 
 

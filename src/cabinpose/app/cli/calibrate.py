@@ -49,7 +49,8 @@ def run(command: Calibrate) -> None:
         found = calibrate(Session.load(command.session))
     found.calibration.save(command.out)
     if command.as_json:
-        print_json({"out": str(command.out), **found.calibration.model_dump(mode="json", exclude={"names"})})
+        told = {"warnings": found.warnings} if found.warnings else {}
+        print_json({"out": str(command.out), **told, **found.calibration.model_dump(mode="json", exclude={"names"})})
         return
     print_rows(_rows(found, command.out))
     rejected = [why for why in found.views.reasons if why]
