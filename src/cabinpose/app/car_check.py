@@ -10,9 +10,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import Matrix, apply, invert
+from cabinpose.core import ConfigError, Matrix, apply, invert
 from cabinpose.scene import LABELS, MATERIALS
-from cabinpose.scene.cabin import COMMON_RULES, Cabin, CabinFile, Part, Rule, Seat, file_from_vehicle, load_cabin, read_car_file
+from cabinpose.scene.cabin import (
+    COMMON_RULES,
+    Cabin,
+    CabinFile,
+    Measure,
+    Part,
+    Rule,
+    Seat,
+    file_from_vehicle,
+    load_cabin,
+    measured,
+    read_car_file,
+)
 from cabinpose.scene.contact import FLESH_M, first_crossings, sampled_surface
 from cabinpose.synth import SEAT_BOXES, SITTING, SeatSide, SeatTrial, try_seats
 
@@ -37,7 +49,8 @@ class CarReport:
     """What was found of a car.
 
     unnamed: meshes that no rule but the last names · trials: by slot · advice: what is wrong with points rather than with rules ·
-    rules: to add before the others · mended: the trials with them, None where there are none.
+    rules: to add before the others · mended: the trials with them, None where there are none · sizes: of the car ·
+    refused: why `synth` refuses it, None where it does not; no pose was tried then.
     """
 
     spec: CabinFile
@@ -48,6 +61,8 @@ class CarReport:
     advice: tuple[str, ...]
     rules: tuple[Rule, ...]
     mended: Mapping[str, SeatTrial] | None
+    sizes: tuple[Measure, ...]
+    refused: ConfigError | None
 
 
 def check_car(path: Path) -> CarReport:
@@ -56,12 +71,12 @@ def check_car(path: Path) -> CarReport:
     Raises ConfigError, MeshError or DependencyError as `load_cabin` does.
     """
     spec = read_car_file(path)
-    cabin = load_cabin(path, spec)
-    trials = mended = try_seats(cabin, poses=POSES)
+    cabin, refused = _loaded(path, spec)
+    trials = mended = {} if refused else try_seats(cabin, poses=POSES)
     rules: list[Rule] = []
     advice: tuple[str, ...] = ()
     changed, softer = spec, cabin
-    for _ in range(_ROUNDS):
+    for _ in range(0 if refused else _ROUNDS):
         more, advice = _remedies(changed, softer, mended, file_from_vehicle(path, spec))
         if not more:
             break
@@ -82,7 +97,17 @@ def check_car(path: Path) -> CarReport:
         advice,
         tuple(rules),
         mended if rules else None,
+        tuple(measured(cabin)),
+        refused,
     )
+
+
+def _loaded(path: Path, spec: CabinFile) -> tuple[Cabin, ConfigError | None]:
+    """The car, and why its sizes have it refused, so that these can be drawn."""
+    try:
+        return load_cabin(path, spec), None
+    except ConfigError as error:
+        return load_cabin(path, spec, refuse=False), error
 
 
 def _held(trials: Mapping[str, SeatTrial]) -> int:

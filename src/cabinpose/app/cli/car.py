@@ -18,7 +18,7 @@ from cabinpose.core import ConfigError, SceneError, make_folder, whole_file, wri
 
 if TYPE_CHECKING:
     from cabinpose.app.car_check import CarReport
-    from cabinpose.scene.cabin import Rule
+    from cabinpose.scene.cabin import Measure, Rule
     from cabinpose.synth import SeatTrial
 
 _PICTURE = "car.png"
@@ -79,11 +79,15 @@ def _init(command: CarInit) -> None:
         )
     make_folder(command.out.parent)
     write_whole(command.out, draft.text)
+    for warning in draft.warnings:
+        print(f"warning: {printable(warning)}", file=sys.stderr)
     wheel = draft.wheel
     if command.as_json:
         seats = {slot: {"h_point": seat.h_point.tolist(), "score": seat.score} for slot, seat in draft.seats.items()}
         found = None if wheel is None else {"centre": wheel.centre.tolist(), "diameter_m": wheel.diameter_m}
-        print_json({"file": str(command.out), "notes": draft.notes, "seats": seats, "steering_wheel": found})
+        sizes = _sizes(draft.sizes)
+        told = {"notes": draft.notes, "warnings": draft.warnings, "seats": seats, "steering_wheel": found, "sizes": sizes}
+        print_json({"file": str(command.out), **told})
         return
     print_rows(
         [
@@ -107,6 +111,10 @@ def _check(command: CarCheck) -> None:
         report = check_car(command.file)
         if picture is not None:
             _draw(command.file, report, picture)
+    if report.refused is not None:
+        if picture is not None:
+            print(picture)
+        raise report.refused
     for warning in report.warnings:
         print(f"warning: {printable(warning)}", file=sys.stderr)
     if command.as_json:
@@ -188,12 +196,28 @@ def _as_data(report: CarReport) -> dict[str, Any]:
         "advice": report.advice,
         "seats": {s: {"h_point": v.h_point(v.default).tolist()} for s, v in cabin.seats.items()},
         "views": {name: {"eye": v.eye.tolist(), "target": v.target.tolist()} for name, v in cabin.views.items()},
+        "sizes": _sizes(report.sizes),
         "meshes": dict(Counter(part.name for part in cabin.parts)),
         "unnamed": report.unnamed,
         "poses": _trials(report.trials),
         "rules": [rule.model_dump(mode="json", exclude_defaults=True) for rule in report.rules],
         "poses_with_rules": None if report.mended is None else _trials(report.mended),
     }
+
+
+def _sizes(found: Sequence[Measure]) -> list[dict[str, Any]]:
+    from cabinpose.scene.cabin import SIZES
+
+    return [
+        {
+            "size": m.name,
+            "slot": m.slot or None,
+            "m": m.metres,
+            "usual_m": SIZES[m.name].usual,
+            "possible_m": SIZES[m.name].possible,
+        }
+        for m in found
+    ]
 
 
 def _trials(trials: Mapping[str, SeatTrial]) -> dict[str, Any]:
@@ -223,7 +247,7 @@ def _draw(file: Path, report: CarReport, picture: Path) -> None:
     pushed = {slot: f", pushed {1000 * max(t.pushed_m):.0f} mm" if t.pushed_m else "" for slot, t in report.trials.items()}
     verdicts = {slot: f"{t.held}/{t.tried} hold{pushed[slot]}" for slot, t in report.trials.items()}
     wrong = [where for trial in report.trials.values() for where in trial.where]
-    image = draw_car(report.cabin, config.camera.sensor_model.camera, verdicts, wrong, frame)
+    image = draw_car(report.cabin, report.sizes, config.camera.sensor_model.camera, verdicts, wrong, frame)
     make_folder(picture.parent)
     with whole_file(picture) as partial:
         PilImage.fromarray(image).save(partial)

@@ -23,10 +23,11 @@ from cabinpose.app.view.draw import (
 )
 from cabinpose.core import Camera, apply, look_at
 from cabinpose.scene import LABEL_ID
-from cabinpose.scene.cabin import Cabin, Seat, SteeringWheel, ViewAnchor
+from cabinpose.scene.cabin import SIZES, Cabin, Measure, Seat, SteeringWheel, ViewAnchor
 
 Floats = NDArray[np.float64]
 _WIDTH, _MARGIN, _HEAD, _GAP = 1180, 60, 112, 56  # px
+_SIZE = (20, 110, 60)
 _PAPER, _INK, _GREY = (255, 255, 255), (28, 32, 40), (120, 128, 140)
 _SEAT, _WHEEL, _PEDAL, _VIEW, _WRONG = (0, 90, 181), (196, 110, 0), (122, 98, 0), (124, 50, 158), (214, 20, 40)
 _TINTS: Mapping[int, Colour] = {
@@ -45,7 +46,12 @@ _SIDES = {
 
 
 def draw_car(
-    cabin: Cabin, camera: Camera, verdicts: Mapping[str, str], wrong: Sequence[Floats], frame: Mapping[str, NDArray[Any]] | None
+    cabin: Cabin,
+    sizes: Sequence[Measure],
+    camera: Camera,
+    verdicts: Mapping[str, str],
+    wrong: Sequence[Floats],
+    frame: Mapping[str, NDArray[Any]] | None,
 ) -> Image:
     """The sheet, RGB.
 
@@ -53,6 +59,8 @@ def draw_car(
     ----------
     cabin
         The car.
+    sizes
+        What is drawn as dimensions, red where a car hardly has it.
     camera
         Whose field of view the views are drawn with.
     verdicts
@@ -66,7 +74,9 @@ def draw_car(
     corners = surface.vertices.astype(np.float64)[surface.faces]
     bounds = _bounds(cabin)
     plans = [_Plan(axes, bounds) for axes in _SIDES.values()]
-    panels = [_panel(plan, cabin, camera, corners, surface.label, verdicts, wrong) for plan in plans]
+    panels = [_panel(plan, cabin, camera, (corners, surface.label), verdicts, wrong) for plan in plans]
+    for plan, panel in zip(plans, panels, strict=True):
+        _dimensions(plan, panel, sizes)
     pictures = _frame_pictures(frame)
     height = _HEAD + sum(len(p) + _GAP for p in panels) + (len(pictures) + _GAP if pictures is not None else 0) + 40
     sheet = np.full((height, _WIDTH + 2 * _MARGIN, 3), _PAPER, np.uint8)
@@ -82,7 +92,7 @@ def draw_car(
         text(sheet, title, (_MARGIN, top + 14), _INK, 15, 600)
         sheet[top + 24 : top + 24 + len(pictures), _MARGIN : _MARGIN + pictures.shape[1]] = pictures
     else:
-        text(sheet, "no pose held in any seat: there is no frame to show", (_MARGIN, top + 14), _WRONG, 15, 600)
+        text(sheet, "no pose held, or none was tried: there is no frame to show", (_MARGIN, top + 14), _WRONG, 15, 600)
     return sheet
 
 
@@ -109,12 +119,12 @@ class _Plan:
 
 
 def _panel(
-    plan: _Plan, cabin: Cabin, camera: Camera, corners: Floats, labels: NDArray[np.uint8], verdicts: Mapping[str, str],
+    plan: _Plan, cabin: Cabin, camera: Camera, mesh: tuple[Floats, NDArray[np.uint8]], verdicts: Mapping[str, str],
     wrong: Sequence[Floats],
 ) -> Image:  # fmt: skip
     image = np.full((plan.size[1], plan.size[0], 3), _PAPER, np.uint8)
     _grid(image, plan)
-    _mesh(image, plan, corners, labels)
+    _mesh(image, plan, *mesh)
     words: list[tuple[str, Floats, Colour]] = []
     with Strokes(image) as strokes:
         for name, view in cabin.views.items():
@@ -122,7 +132,7 @@ def _panel(
             words.append((name, plan.px(view.eye)[0] + (10, -8), _VIEW))
         for slot, seat in cabin.seats.items():
             _seat(strokes, plan, seat)
-            words.append((f"{slot} {verdicts[slot]}", plan.px(seat.h_point(seat.default))[0] + (10, 16), _SEAT))
+            words.append((f"{slot} {verdicts.get(slot, '')}", plan.px(seat.h_point(seat.default))[0] + (10, 16), _SEAT))
         if cabin.steering_wheel is not None:
             _wheel(strokes, plan, cabin.steering_wheel)
         for pad in cabin.pedals.values():
@@ -135,6 +145,28 @@ def _panel(
             strokes.line(at + (-5, -5), at + (5, 5), _WRONG, 2)
             strokes.line(at + (-5, 5), at + (5, -5), _WRONG, 2)
     return image
+
+
+def _dimensions(plan: _Plan, image: Image, sizes: Sequence[Measure]) -> None:
+    """Dimension lines with their lengths: the car's, the driver's, and what is unusual, as far as the plane shows them."""
+    words: list[tuple[str, Floats, Colour]] = []
+    with Strokes(image) as strokes:
+        for size in sizes:
+            start, end = plan.px(size.ends)
+            along = end - start
+            length = float(np.linalg.norm(along))
+            axis = int(np.argmax(np.abs(size.ends[1] - size.ends[0])))
+            shown = size.slot in ("", "driver") or size.unusual
+            twice = plan.axes[2][2] > 0 and axis == 0 and size.slot  # the side view has it
+            if length < 2 or not plan.axes[:2, axis].any() or not shown or twice:
+                continue
+            colour = _WRONG if size.unusual else _SIZE
+            tick = np.array((-along[1], along[0])) / length * 6
+            strokes.line(start, end, colour, 3 if size.unusual else 1.5)
+            for at in (start, end):
+                strokes.line(at - tick, at + tick, colour, 1.5)
+            words.append((f"{SIZES[size.name].short} {size.metres:.2f}", (start + end) / 2 + (6, -4), colour))
+    _words(image, words)
 
 
 def _words(image: Image, words: Sequence[tuple[str, Floats, Colour]]) -> None:
@@ -259,7 +291,7 @@ def _frame_pictures(frame: Mapping[str, NDArray[Any]] | None) -> Image | None:
 def _legend(sheet: Image, top: int) -> None:
     points = (
         (_SEAT, "seat: H-point, line of the back, heels"), (_WHEEL, "wheel and axis"), (_PEDAL, "pedals"),
-        (_VIEW, "views, their field of view"), (_WRONG, "x where people were refused"),
+        (_VIEW, "views, their field of view"), (_SIZE, "dimensions, m"), (_WRONG, "refused poses, sizes"),
     )  # fmt: skip
     surfaces = [(_TINTS[LABEL_ID[name]], name.replace("_", " ")) for name in ("seat", "trim", "glass", "floor", "steering_wheel")]
     for level, entries, ink in ((top, points, _INK), (top + 20, surfaces, _GREY)):

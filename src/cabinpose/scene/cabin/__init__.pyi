@@ -32,3 +32,10 @@ from .seats import BACK_BOX as BACK_BOX
 from .seats import CUSHION_BOX as CUSHION_BOX
 from .shapes import Solid as Solid
 from .shapes import slab as slab
+from .sizes import SIZES as SIZES
+from .sizes import Measure as Measure
+from .sizes import Size as Size
+from .sizes import SizeVerdict as SizeVerdict
+from .sizes import judged as judged
+from .sizes import measured as measured
+from .sizes import places_of as places_of

@@ -12,20 +12,25 @@ import numpy as np
 from cabinpose.core import OCCUPANT_SLOTS, Floats, Matrix, MeshError, apply
 from cabinpose.scene.cabin.find_seats import FoundSeat, find_seats
 from cabinpose.scene.cabin.find_wheel import FoundWheel, find_wheel
-from cabinpose.scene.cabin.meshfile import UNITS, MeshFile, NamedMesh, read_mesh
+from cabinpose.scene.cabin.meshfile import MeshFile, NamedMesh, axis_name, read_mesh
 from cabinpose.scene.cabin.seats import BACK_BOX, BACK_GIVE, CUSHION_BOX, CUSHION_GIVE
+from cabinpose.scene.cabin.sizes import UNITS, Measure, SeatPoints, between_points, extents, judged
 
 _ROW_M = 0.35  # seats whose H-points are nearer along the car stand in one row
 _REAR_HEEL_M = 0.44  # a rear sitter's heels ahead of the H-point
 
 
 class Draft(NamedTuple):
-    """text: YAML · seats: by slot, and wheel (None: none was found), vehicle frame · notes: what was found, and how."""
+    """text: YAML · seats: by slot, and wheel (None: none was found), vehicle frame · notes: what was found, and how ·
+    sizes: of the car · warnings: sizes that a car hardly has.
+    """
 
     text: str
     seats: Mapping[str, FoundSeat]
     wheel: FoundWheel | None
     notes: tuple[str, ...]
+    sizes: tuple[Measure, ...]
+    warnings: tuple[str, ...]
 
 
 def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: str = "auto", unit: str = "auto") -> Draft:
@@ -47,7 +52,7 @@ def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: 
     Raises
     ------
     MeshError
-        For a mesh that cannot be read, or in which nothing is shaped like a seat.
+        For a mesh that cannot be read, that has sizes that no car has, or in which nothing is shaped like a seat.
     """
     file, found, how = _turned_to_front(mesh, up_axis, front_axis, unit)
     wheel = find_wheel(file.meshes, found)
@@ -63,6 +68,7 @@ def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: 
     if wheel is not None:
         wheel = wheel._replace(centre=wheel.centre - origin)
     notes = [*file.notes, *how, *left_out]
+    sizes, warnings = _sizes(mesh, file, everything - origin, slots, wheel)
     text = "".join(
         f"{line}\n"
         for line in (
@@ -85,16 +91,30 @@ def draft_car_file(mesh: Path, out: Path, *, up_axis: str = "auto", front_axis: 
             "#   driver: {eye: [-0.1, 0.0, 1.1], target: [-0.8, 0.35, 0.55]}",
         )
     )
-    return Draft(text, slots, wheel, tuple(notes))
+    return Draft(text, slots, wheel, tuple(notes), sizes, warnings)
+
+
+def _sizes(
+    mesh: Path, file: MeshFile, vertices: Floats, seats: Mapping[str, FoundSeat], wheel: FoundWheel | None
+) -> tuple[tuple[Measure, ...], tuple[str, ...]]:
+    """The sizes of what was found, and what a car hardly has; MeshError for what none has."""
+    places = {slot: SeatPoints(seat.h_point, _heel(slot, seat), seat.backward) for slot, seat in seats.items()}
+    hub = None if wheel is None else wheel.centre
+    found = [*extents(vertices.min(axis=0), vertices.max(axis=0)), *between_points(places, hub)]
+    verdict = judged(found, places, steered=wheel is not None, unit=file.unit, front=file.front_axis)
+    if verdict.errors:
+        raise MeshError(f"{mesh}: {'; '.join(verdict.errors)}", hint=verdict.hint)
+    return tuple(found), verdict.said
 
 
 def _turned_to_front(mesh: Path, up: str, front: str, unit: str) -> tuple[MeshFile, list[FoundSeat], list[str]]:
     """The file with its front where most seats look, its seats, and how the front was found where the file's own was not it."""
     file = read_mesh(mesh, up_axis=up, front_axis=front, unit=unit)
+    _sizes(mesh, file, np.concatenate([m.vertices for m in file.meshes]), {}, None)
     found = _seats_of(file.meshes)
     if front != "auto":
         return _with_seats(mesh, file, found, [])
-    up_name, first = _axis_name(file.vehicle_from_mesh[2, :3]), _axis_name(file.vehicle_from_mesh[0, :3])
+    up_name, first = axis_name(file.vehicle_from_mesh[2, :3]), axis_name(file.vehicle_from_mesh[0, :3])
     best = (_forward(found), file, found, list[str]())
     # With seats only the opposite front is tried, without any the two across.
     turned = [a for a in _axes_beside(up_name) if a != first and (a.strip("-") == first.strip("-")) == bool(found)]
@@ -126,11 +146,6 @@ def _seats_of(meshes: Sequence[NamedMesh]) -> list[FoundSeat]:
 def _forward(seats: Sequence[FoundSeat]) -> int:
     """How many more seats look forward than backward."""
     return sum(-1 if seat.backward else 1 for seat in seats)
-
-
-def _axis_name(direction: Floats) -> str:
-    axis = int(np.argmax(np.abs(direction)))
-    return f"{'-' if direction[axis] < 0 else ''}{'xyz'[axis]}"
 
 
 def _axes_beside(up: str) -> list[str]:
@@ -176,8 +191,7 @@ def _moved(seat: FoundSeat, by: Floats) -> FoundSeat:
 def _file_lines(mesh: Path, out: Path, file: MeshFile, origin: Floats, notes: Sequence[str]) -> Iterator[str]:
     """The head of the YAML: what the file is, and how that was found."""
     matrix: Matrix = file.vehicle_from_mesh
-    factor = float(np.linalg.norm(matrix[0, :3]))
-    unit = min(UNITS, key=lambda name: abs(np.log(UNITS[name] / factor)))
+    unit = file.unit
 
     def why(*words: str) -> str:
         said = next((note.partition(": ")[2] for word in words for note in reversed(notes) if note.startswith(word)), "as given")
@@ -185,27 +199,32 @@ def _file_lines(mesh: Path, out: Path, file: MeshFile, origin: Floats, notes: Se
 
     yield "# Made by `cabinpose car init`. Every key: docs/own-car.md. Then: cabinpose car check " + out.name
     yield f"mesh: {os.path.relpath(mesh, out.parent)}"
-    yield f"up_axis: {_axis_name(matrix[2, :3])}{why('up axis')}"
-    yield f"front_axis: {_axis_name(matrix[0, :3])}{why('front axis')}"
+    yield f"up_axis: {axis_name(matrix[2, :3])}{why('up axis')}"
+    yield f"front_axis: {file.front_axis}{why('front axis')}"
     yield f"unit: {unit}{why('unit')}"
-    digits = max(0, 4 + round(np.log10(factor)))
+    digits = max(0, 4 + round(np.log10(UNITS[unit])))
     yield f"origin: {_list(origin, digits)}  # in the mesh's own axes and unit: floor, centre line, under the driver's heel"
     yield "# All points below are in the vehicle frame: metres from that origin, x forward, y left, z up."
 
 
 def _seat_lines(slot: str, seat: FoundSeat) -> Iterator[str]:
     h = seat.h_point
-    sign = -1.0 if seat.backward else 1.0
-    ahead = _heel_ahead(float(h[2]) - seat.floor_z) if slot in OCCUPANT_SLOTS[:2] else _REAR_HEEL_M
     yield f"  {slot}:  # fits the shape of a seat by {100 * seat.score:.0f} %"
     yield f"    h_point: {_list(h)}"
-    yield f"    heel_point: {_list((h[0] + sign * ahead, h[1], seat.floor_z))}  # on the floor"
+    yield f"    heel_point: {_list(_heel(slot, seat))}  # on the floor"
     if seat.backward:
         yield "    facing: backward"
     yield f"    torso_angle_deg: {np.clip(np.degrees(seat.torso_angle), 0, 60):.0f}"
     yield f"    cushion_angle_deg: {np.clip(np.degrees(seat.cushion_angle), 0, 35):.0f}"
     if slot in OCCUPANT_SLOTS[:2]:
         yield "    # fore_aft_mm: [-80, 150]  # travel of an adjustable seat"
+
+
+def _heel(slot: str, seat: FoundSeat) -> Floats:
+    """(3,) m, on the floor before the seat."""
+    x, y, z = seat.h_point
+    ahead = _heel_ahead(float(z) - seat.floor_z) if slot in OCCUPANT_SLOTS[:2] else _REAR_HEEL_M
+    return np.array((x - ahead if seat.backward else x + ahead, y, seat.floor_z))
 
 
 def _wheel_lines(wheel: FoundWheel | None, driver: FoundSeat) -> Iterator[str]:

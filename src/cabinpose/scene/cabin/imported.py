@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,9 +27,12 @@ from cabinpose.scene.cabin.model import (
     ViewAnchor,
     in_slot_order,
 )
+from cabinpose.scene.cabin.sizes import UNITS, judged, measured, opposite, places_of
+
+_APART_M = 0.3  # between two seats of a car, at least
 
 
-def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None) -> Cabin:
+def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None, *, refuse: bool = True) -> Cabin:
     """A cabin from a YAML file (`CabinFile`) and the mesh it names.
 
     Closed meshes with outward faces (turned where they look inwards) are solids; others, and closed ones that an
@@ -41,6 +44,8 @@ def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None) -> Cabin:
         The YAML file; the mesh's path counts from its folder.
     spec
         What stands in place of the file's content, for a change that is tried before it is written.
+    refuse
+        Whether sizes that no car has raise ConfigError; without, they are warnings.
 
     Returns
     -------
@@ -50,7 +55,7 @@ def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None) -> Cabin:
     Raises
     ------
     ConfigError
-        For the YAML.
+        For the YAML, and for sizes that no car has.
     MeshError, DependencyError
         For the mesh.
     """
@@ -65,7 +70,8 @@ def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None) -> Cabin:
         if ((seat.design_h_point < low) | (seat.design_h_point > high)).any():
             raise ConfigError(
                 f"{path}: the H-point of {slot} is outside the mesh: {np.round(low, 2)} to {np.round(high, 2)} m (vehicle)",
-                hint="check unit, axes and origin, or set `points: mesh` where points are the file's own coordinates",
+                hint=_why_outside(seats.values(), low, high, file.front_axis)
+                or "check unit, axes and origin, or set `points: mesh` where points are the file's own coordinates",
             )
     wheel = _wheel(spec.steering_wheel, place)
     notes = list(file.notes)
@@ -90,8 +96,27 @@ def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None) -> Cabin:
         views,
         warnings=tuple(warnings),
     )
+    verdict = judged(measured(cabin), places_of(cabin), steered=wheel is not None, unit=file.unit, front=file.front_axis)
+    if verdict.errors and refuse:
+        raise ConfigError(f"{path}: {'; '.join(verdict.errors)}", hint=verdict.hint)
     own, no_place = default_views(cabin, frozenset(views))
-    return replace(cabin, views=own | views, notes=(*notes, *remarks, *no_place))
+    told = (*cabin.warnings, *verdict.errors, *verdict.said)
+    return replace(cabin, views=own | views, notes=(*notes, *remarks, *no_place), warnings=told)
+
+
+def _why_outside(seats: Iterable[Seat], low: Vector, high: Vector, front: str) -> str | None:
+    """What would bring all H-points into the mesh from `low` to `high` (3,) m, in words; None where nothing known does."""
+    points = np.stack([seat.design_h_point for seat in seats])
+
+    def fit(changed: Vector) -> bool:
+        return bool(((changed >= low) & (changed <= high)).all())
+
+    if fit(points * (-1.0, -1.0, 1.0)):
+        return f"all seats lie in it if it is turned round: front axis {opposite(front)}"
+    for unit, metres in UNITS.items():
+        if np.ptp(points * metres, axis=0).max() > _APART_M and fit(points * metres):
+            return f"all seats lie in it if the YAML's points are in {unit}: give them in metres"
+    return None
 
 
 class _Placer:

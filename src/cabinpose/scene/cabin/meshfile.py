@@ -16,8 +16,8 @@ import trimesh
 
 from cabinpose.core import DependencyError, Floats, Ints32, MeshError, optional_module
 from cabinpose.core import reproducible as rp
+from cabinpose.scene.cabin.sizes import UNITS
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 AXES = {f"{sign}{axis}": (-1.0 if sign else 1.0) * np.eye(3)[i] for i, axis in enumerate("xyz") for sign in ("", "-")}
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply")
 MAX_TRIANGLES = 1_000_000
@@ -48,6 +48,17 @@ class MeshFile:
     meshes: tuple[NamedMesh, ...]
     vehicle_from_mesh: Floats
     notes: tuple[str, ...]
+
+    @property
+    def front_axis(self) -> str:
+        """The axis of the file that is taken for the car's front."""
+        return axis_name(self.vehicle_from_mesh[0, :3])
+
+    @property
+    def unit(self) -> str:
+        """The unit that a length of the file is nearest to."""
+        factor = float(np.abs(self.vehicle_from_mesh[0, :3]).max())
+        return min(UNITS, key=lambda name: max(UNITS[name] / factor, factor / UNITS[name]))
 
 
 def read_mesh(
@@ -94,6 +105,12 @@ def read_mesh(
     matrix[:3, 3] = rp.matmul(-factor * rotation, np.asarray(origin, dtype=np.float64))
     meshes = tuple(NamedMesh(m.name, rp.matmul(m.vertices, matrix[:3, :3].T) + matrix[:3, 3], m.faces) for m in raw)
     return MeshFile(meshes, matrix, tuple(notes))
+
+
+def axis_name(direction: Floats) -> str:
+    """The axis (3,) that points most that way, such as -x."""
+    axis = int(np.argmax(np.abs(direction)))
+    return f"{'-' if direction[axis] < 0 else ''}{'xyz'[axis]}"
 
 
 def _up_axis(path: Path, given: str, extent: Floats, is_gltf: bool, notes: list[str]) -> str:
