@@ -14,7 +14,7 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, look_at, transform
 from cabinpose.core.skeleton import CABINPOSE, JOINTS, MVN_SEGMENTS
 from cabinpose.signals.clock import ClockMap
-from cabinpose.signals.recorded import Message, Sample, SegmentPoses, ToFFrame
+from cabinpose.signals.recorded import Facts, Message, Sample, SegmentPoses, ToFFrame
 from cabinpose.store.recording import Chunking, Participant, RecordingWriter, Take
 
 START_NS = 1_750_000_000_000_000_000
@@ -94,6 +94,7 @@ class Made:
     suit_until_s: float = np.inf
     suit_still: bool = False
     codes: tuple[str, ...] = ("S07",)
+    camera: str = ""  # serial number
     second: str = ""  # the source of a second person's suit
     host: dict[str, str] = field(default_factory=dict)
     car: str = "sedan"
@@ -132,7 +133,8 @@ class Made:
         if source == "tof":
             depth = np.full((CAMERA.height, CAMERA.width), round(self.depth_m * 1e4), np.uint16)
             frame = ToFFrame(depth, 1e-4, depth, np.zeros((0, 0), np.uint8), CAMERA.k, np.zeros(5), np.zeros(5))
-            return [(frame,)] * len(time)
+            named = ((Facts("camera", {"vendor": "ours", "serial": self.camera}), frame),) if self.camera else ((frame,),)
+            return [*named, *[(frame,)] * (len(time) - 1)]
         if source == "optical":
             heads = [("head", *self._hidden(time, *_split(head_in_world(time) @ invert(OBJECT_FROM_HEAD))))]
             if self.second:

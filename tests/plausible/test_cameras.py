@@ -16,6 +16,7 @@ import pytest
 from pydantic import ValidationError
 
 import cabinpose
+from cabinpose.align import align_takes
 from cabinpose.align.board import Board
 from cabinpose.align.boardtake import BoardViews
 from cabinpose.align.corners import corners_or_reason
@@ -41,6 +42,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "store"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "align"))
 
 import boards
+import rig_takes
 import sphere_people
 
 F64 = np.ndarray[Any, np.dtype[np.float64]]
@@ -307,3 +309,29 @@ def test_the_heads_of_a_take_are_judged() -> None:
 def test_joints_before_the_surface_are_judged() -> None:
     assert judge_joints(0.004) == judge_joints(float("nan")) == ""
     assert "12 % of the joints lie before the measured surface, and 5 % are usual" in judge_joints(0.12)
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "taken", "said"),
+    [
+        ("ours A1", "A1", ""),
+        ("", "", ""),
+        ("", "A1", "the calibration does not say of which camera it is, and that it is ours A1 cannot be checked"),
+        ("ours A1", "", "the take does not say of which camera it is, and that it is ours A1 cannot be checked"),
+    ],
+    ids=["the same", "none", "an older calibration", "a camera without a serial number"],
+)
+def test_a_take_is_compared_with_the_calibrated_camera(tmp_path: Path, calibrated: str, taken: str, said: str) -> None:
+    path = tmp_path / "take.mcap"
+    rig_takes.Made(seconds=6, camera=taken).write(path)
+    warned = align_takes([path], rig_takes.calibration(camera=calibrated)).warnings
+    assert [text for text in warned if "camera" in text] == ([f"take.mcap: {said}"] if said else [])
+
+
+def test_a_calibration_of_another_camera_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    rig_takes.Made(seconds=6, camera="B2").write(path)
+    with pytest.raises(
+        AlignmentError, match=r"take.mcap: the camera: the take is of the camera ours B2, the calibration of ours A1"
+    ):
+        align_takes([path], rig_takes.calibration(camera="ours A1"))

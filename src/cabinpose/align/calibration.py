@@ -157,6 +157,7 @@ class Calibration(_Model):
     host: Annotated[dict[str, str], Field(description="the computer that recorded the pendulum, and its network")] = Field(
         default_factory=dict
     )
+    camera: Annotated[str, Field(description="vendor, model and serial number, where the camera states them")] = ""
     heads: Annotated[dict[str, Head], Field(description="by subject code")] = Field(default_factory=dict)
     vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands, if known")] = None
 
@@ -168,6 +169,21 @@ class Calibration(_Model):
                 hint=f"calibrate with a take of their head turning; known: {', '.join(self.heads) or 'none'}",
             )
         return self.heads[subject]
+
+    def check_camera(self, camera: str) -> str:
+        """What speaks against a take by what its camera is called (`camera_identity`); "" = nothing.
+
+        Raises AlignmentError where it is another camera than the calibrated one.
+        """
+        if self.camera == camera:
+            return ""
+        if self.camera and camera:
+            raise AlignmentError(
+                f"the take is of the camera {camera}, the calibration of {self.camera}",
+                hint="name the calibration of this rig with --calibration, or calibrate it",
+            )
+        unknown, known = ("take", self.camera) if self.camera else ("calibration", camera)
+        return f"the {unknown} does not say of which camera it is, and that it is {known} cannot be checked"
 
     def differences(self, host: Mapping[str, str]) -> list[str]:
         """What a take's computer and network (`Recording.head.host`) are other than when the camera's delay was measured."""

@@ -15,7 +15,7 @@ from cabinpose import __version__
 from cabinpose.align.calibration import Calibration
 from cabinpose.align.judge import judge_head
 from cabinpose.align.project import Aligned, align_take
-from cabinpose.align.streams import naming
+from cabinpose.align.streams import camera_identity, naming
 from cabinpose.align.visibility import visibility
 from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
@@ -157,7 +157,10 @@ def align_takes(
             if not codes:
                 raise AlignmentError(f"{path} names no subject", hint="name the people in the rig's `take`, or give --subject")
             people = [align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=correct_pose) for code in codes]
-            warnings += [f"{path.name}: {what}" for what in calibration.differences(recording.head.host)]
+            with naming(recording, "the camera"):
+                doubt = calibration.check_camera(camera_identity(recording, calibration.names.tof))
+            doubts = [*([doubt] if doubt else []), *calibration.differences(recording.head.host)]
+            warnings += [f"{path.name}: {what}" for what in doubts]
             take = recording.take if drive_side is None else recording.take.model_copy(update={"drive_side": drive_side})
             takes.append(_joined(path, sequence, take, people, calibration, correct_pose))
             warnings += filter(None, (_other_side(takes[-1], calibration), takes[-1].unknown_side))

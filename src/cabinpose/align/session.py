@@ -32,7 +32,7 @@ from cabinpose.align.intrinsics import IntrinsicsResult, calibrate_from_corners
 from cabinpose.align.judge import Placed, believed
 from cabinpose.align.pendulum import brightest_blob
 from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
-from cabinpose.align.streams import frame_times, naming, on_host, seconds
+from cabinpose.align.streams import camera_identity, frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
 from cabinpose.align.time import suit_to_optical, tof_to_optical, trusted
 from cabinpose.align.tracker import place_tracker
@@ -128,6 +128,7 @@ def calibrate(session: Session) -> Calibrated:
     names = session.names
     with _opened(session.board_take) as recording:
         views = board_views(recording, names, session.board)
+        identity = camera_identity(recording, names.tof)
         with naming(recording, "the camera"):
             found, warnings = believed(
                 session.board, views, lambda board, seen: placed(session.model_copy(update={"board": board}), seen)
@@ -136,6 +137,11 @@ def calibrate(session: Session) -> Calibrated:
     step = "the marker in the image (a) against the optical one (b)"
     with _opened(session.pendulum_take) as recording, naming(recording, step):
         delay = _pendulum(recording, names, camera, by_corners.camera_from_world)
+        if (swung := camera_identity(recording, names.tof)) != identity:
+            raise AlignmentError(
+                f"the camera is {swung or 'not named'}, that of the board {identity or 'not named'}",
+                hint="record board and pendulum with one camera",
+            )
         host = recording.head.host
     heads, hosts, trackers = {}, {}, {}
     for code, subject in session.subjects.items():
@@ -156,6 +162,7 @@ def calibrate(session: Session) -> Calibrated:
         extrinsics=_told(by_markers, by_corners),
         tof_to_optical=_plain(delay),
         host=host,
+        camera=identity,
         heads={
             code: Head(
                 suit=session.subjects[code].suit,

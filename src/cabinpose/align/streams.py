@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cabinpose.align.clocks import host_from_device
 from cabinpose.core import AlignmentError, RecordingError
+from cabinpose.signals import Facts, ToFFrame
 from cabinpose.store.recording import MarkerSeries, Recording, SegmentSeries
 
 F64 = NDArray[np.float64]
@@ -40,6 +41,19 @@ def on_host(series: SegmentSeries | MarkerSeries) -> Times:
     if not series.device_clock:
         return series.host_ns
     return host_from_device(series.device_ns, series.host_ns, series.source)(series.device_ns)
+
+
+def camera_identity(recording: Recording, source: str) -> str:
+    """Vendor, model and serial number of a camera, as it stated them before its first frame; "" where it has no serial number."""
+    for _, sample in recording.samples([source]):
+        for message in sample.messages:
+            if isinstance(message, Facts) and message.about == "camera":
+                serial = message.values.get("serial") or message.values.get("id")
+                named = (message.values.get("vendor"), message.values.get("model"), serial)
+                return " ".join(str(part) for part in named if part) if serial else ""
+            if isinstance(message, ToFFrame):
+                return ""
+    return ""
 
 
 @contextmanager

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import heapq
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from cabinpose.app.lab.clocks import Clock, Times
 from cabinpose.app.lab.rig import VirtualRig
-from cabinpose.signals import Message, Sample
+from cabinpose.signals import Facts, Message, Sample
 from cabinpose.store.recording import Chunking, RecordingWriter, Take
 
 
@@ -34,5 +36,15 @@ def write_recording(
     started_ns = rig.start_ns + round(start_s * 1e9)
     chunking = Chunking(compression="lz4", sync_s=0, definitions_s=math.inf)
     with RecordingWriter(path, take, started_ns=started_ns, chunking=chunking) as writer:
+        named = False
         for _, source, sample in heapq.merge(*(arrivals(*stream) for stream in streams.items()), key=lambda row: row[:2]):
+            if source == "tof" and not named:
+                named = True
+                sample = replace(sample, messages=(_camera(rig), *sample.messages))
             writer.write(source, sample)
+
+
+def _camera(rig: VirtualRig) -> Facts:
+    """What the camera of a rig says of itself: its serial number is that of the rig."""
+    digest = hashlib.sha256(rig.model_dump_json().encode()).hexdigest()[:12]
+    return Facts("camera", {"vendor": "virtual laboratory", "model": rig.sensor, "serial": digest})
