@@ -237,7 +237,7 @@ def test_a_true_and_an_unknown_camera_are_imported_and_opened_in_silence_and_a_d
         folder = import_source(Source(Path("theirs"), manifest, lambda: frames), tmp_path / "half")
     assert len(told) == 1
     said = json.loads(run("info", folder, "--json").out)
-    assert ["an image of about 32x24 pixels" in text for text in said["warnings"]] == [True]
+    assert sum("an image of about 32x24 pixels" in text for text in said["warnings"]) == 1
     assert "warnings" not in json.loads(run("info", tmp_path / "true", "--json").out)
 
 

@@ -20,6 +20,7 @@ from .itop import as_labelled as as_labelled
 from .itop import project as project
 from .itop import read_itop_frames as read_itop_frames
 from .itop import read_itop_reference as read_itop_reference
+from .label_check import label_warnings as label_warnings
 from .labels import JointLabel as JointLabel
 from .labels import Key as Key
 from .labels import Labels as Labels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -86,7 +87,7 @@ def run(command: ImportDataset | ImportRecording | ImportLabels) -> None:
 
 
 def _import_dataset(command: ImportDataset) -> None:
-    from cabinpose.store import check_new_dataset, import_source
+    from cabinpose.store import check_new_dataset, import_source, label_warnings, open_dataset
     from cabinpose.store.convert import open_source
 
     if command.out.suffix == ".mcap":
@@ -103,6 +104,11 @@ def _import_dataset(command: ImportDataset) -> None:
         folder = import_source(source, command.out, overwrite=command.overwrite, report=report)
     if told := source.outcome():
         print(told, file=sys.stderr)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what opening doubts was said while it was imported
+        made = open_dataset(folder, missing="ignore")
+    for doubt in label_warnings(made):
+        warnings.warn(f"{folder}: {doubt}", stacklevel=2)
     if command.as_json:
         variables = list(source.manifest.variables)
         print_json({"out": str(folder), "format": command.format, "frames": frames, "variables": variables})

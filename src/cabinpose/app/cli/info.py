@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,7 +57,7 @@ def run(command: Info) -> None:
 def _print_dataset(command: Info) -> None:
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.view.summary import summarise
-    from cabinpose.store import open_dataset, read_manifest
+    from cabinpose.store import label_warnings, open_dataset, read_manifest
 
     manifest = read_manifest(command.dataset)
     dataset = open_dataset(command.dataset, missing="ignore")
@@ -67,6 +68,8 @@ def _print_dataset(command: Info) -> None:
             for i in range(count):
                 chosen.isel(frame=i).load()
                 report(i + 1)
+    for doubt in label_warnings(chosen):
+        warnings.warn(f"{command.dataset}: {doubt}", stacklevel=2)
     summary = summarise(dataset, manifest, command.dataset, chosen)
     unchecked = dataset.attrs["parts_without_checksum"]
     if command.as_json:
