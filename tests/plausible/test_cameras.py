@@ -85,6 +85,7 @@ CANNOT: dict[str, tuple[F64, Any, str, str]] = {
     "four coefficients": (K, np.zeros(4), r"distortion of shape \(4,\)", "five coefficients"),
     "eight coefficients": (K, np.zeros(8), r"distortion of shape \(8,\)", "five coefficients"),
     "folds": (K, [-0.5, 0, 0, 0, 0], r"it folds back \d\d % of the way", "fitted to this image"),
+    "folds before the border": (K, [-0.33, 0, 0, 0, 0], "it folds back 82 % of the way", "fitted to this image"),
     "of pixels": (K, [1e6, 0, 0, 0, 0], "moves rays to", "in focal lengths"),
 }  # fmt: skip
 
