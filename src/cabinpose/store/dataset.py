@@ -13,7 +13,7 @@ import numpy as np
 
 from cabinpose.core import DatasetError, lock, output_errors, refuse_other_writer, write_whole
 from cabinpose.store.part import temporary_parts
-from cabinpose.store.part_facts import check_part
+from cabinpose.store.part_facts import check_parts
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, PartPlans, manifest_yaml, read_manifest, with_checksum_line
 
 _COMPRESSION = 0.7  # of the raw size; noisy depth at 352x287 measured 0.5
@@ -97,8 +97,7 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
         _prepare(path, manifest, overwrite=overwrite, resume=resume)
         new = not (path / MANIFEST_NAME).exists()
         writer = DatasetWriter(path, manifest, held, new=new, made=made)
-        for plan in writer.complete():
-            check_part(path / plan.name, plan, manifest)
+        check_parts(path, writer.complete(), manifest)
         _check_space(writer)
         with output_errors(path, DatasetError):
             _write_manifest(path, manifest)

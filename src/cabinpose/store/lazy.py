@@ -19,7 +19,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from cabinpose.core import DatasetError, camera_from, known_camera
-from cabinpose.store.part_facts import PartFacts, check_part
+from cabinpose.store.part_facts import PartFacts, check_parts
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, dataset_id, read_manifest, variable_attributes
 from cabinpose.store.shard import read_frames, read_whole
 from cabinpose.store.zarr_metadata import dimension_labels
@@ -59,7 +59,7 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         if missing == "raise":
             raise DatasetError(message, hint="complete it with `cabinpose synth --resume`")
         warnings.warn(message, stacklevel=2)
-    facts = [check_part(path / plan.name, plan, manifest) for plan in plans]
+    facts = check_parts(path, plans, manifest)
     if manifest.checksum is None and any(part.checksum is not None for part in facts):
         raise DatasetError(
             f"{path / MANIFEST_NAME} has lost its checksum, its last line", hint="restore the file as it was written"
@@ -105,6 +105,7 @@ def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str,
         "dataset_id": dataset_id(manifest),
         "planned_frames": manifest.frames,
         "parts_without_checksum": sum(part.checksum is None for part in parts),
+        "parts_without_dataset": sum(part.dataset is None for part in parts),
         "skipped_frames": sum(len(part.skipped) for part in parts),
         "proposals": sum(part.frames if part.proposals is None else part.proposals for part in parts),
         "rejections": dict(sorted(rejections.items())),

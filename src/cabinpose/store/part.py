@@ -8,6 +8,7 @@ library's chunk-by-chunk pipeline. Same frames, same bytes: no time stamps, no t
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -92,13 +93,16 @@ class PartWriter:
     """Writes one part, frame by frame; leaving the `with` block without an error makes it part of the dataset.
 
     An exception inside the block removes everything that was written. `attrs` may be filled with plain data about
-    the part as a whole (`proposals`, `rejections`).
+    the part as a whole (`proposals`, `rejections`). after: the checksum of the part before it, where the manifest does not
+    decide what the frames are; `checksum` is this part's, once it is whole.
     """
 
-    def __init__(self, folder: Path | str, plan: PartPlan, manifest: Manifest) -> None:
+    def __init__(self, folder: Path | str, plan: PartPlan, manifest: Manifest, *, after: str | None = None) -> None:
         self.folder = Path(folder)
         self.plan = plan
         self.attrs: dict[str, Any] = {}
+        self.checksum: str | None = None
+        self._after = after
         self._manifest = manifest
         self._temporary = self.folder / f".{plan.name}.{os.getpid()}-{next(_serial)}{_SUFFIX}"
         self._images = {
@@ -176,7 +180,9 @@ class PartWriter:
                 path.write_bytes(compressed_column(columns[array.name], array.dtype))
         for array in arrays:
             (self._temporary / array.name / "zarr.json").write_text(array_json(array), encoding="utf-8")
-        (self._temporary / "zarr.json").write_text(group_json(arrays, self._attributes()), encoding="utf-8")
+        text = group_json(arrays, self._attributes())
+        (self._temporary / "zarr.json").write_text(text, encoding="utf-8")
+        self.checksum = json.loads(text)["attributes"]["checksum"]
         for path in sorted(self._temporary.rglob("*")):
             sync(path)
         sync(self._temporary)
@@ -199,6 +205,8 @@ class PartWriter:
             "generator_version": manifest.generator_version,
             "seed": manifest.seed,
             "licence": manifest.licence,
+            "dataset": manifest.parts_belong_to,
+            **({} if self._after is None else {"after": self._after}),
             "part": self.plan.index,
             "first_frame": self.plan.first,
             "frames": len(self._written),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,10 +15,15 @@ from cabinpose.store.shard import read_whole
 from cabinpose.store.zarr_metadata import describes, dimension_labels, zarr_arrays
 
 _Count = Annotated[int, Field(ge=0)]
+_MADE_BY = ("generator", "generator_version", "seed")
 
 
 class PartFacts(BaseModel):
-    """The attributes of a part's `zarr.json` that readers use. checksum: None where the part was written before there was one."""
+    """The attributes of a part's `zarr.json` that readers use.
+
+    checksum, dataset: None where the part was written before there was one · dataset: what the manifest calls `parts_belong_to` ·
+    after: the checksum of the part before it, in datasets whose manifest does not decide what the frames are.
+    """
 
     model_config = ConfigDict(extra="ignore", frozen=True, defer_build=True)
 
@@ -28,6 +34,28 @@ class PartFacts(BaseModel):
     proposals: _Count | None = None
     rejections: dict[str, _Count] = Field(default_factory=dict)
     checksum: str | None = None
+    dataset: str | None = None
+    after: str | None = None
+    generator: str | None = None
+    generator_version: str | None = None
+    seed: int | None = None
+
+
+def check_parts(folder: Path, plans: Sequence[PartPlan], manifest: Manifest) -> list[PartFacts]:
+    """The facts of the complete parts of a folder, each by `check_part`, and whether each follows the one that it was made after.
+
+    Raises `DatasetError` as `check_part` does, and where one of two neighbours was put there from another import.
+    """
+    facts = [check_part(folder / plan.name, plan, manifest) for plan in plans]
+    for number in range(1, len(plans)):
+        before, plan, after = plans[number - 1], plans[number], facts[number].after
+        if before.index + 1 == plan.index and after is not None and after != facts[number - 1].checksum:
+            raise DatasetError(
+                f"{before.name} and {plan.name} in {folder} do not belong together: {plan.name} was made after a part whose "
+                f"checksum is {after}, that of {before.name} is {facts[number - 1].checksum}",
+                hint="one of them is of another import with the same settings: put the right one back, or import again",
+            )
+    return facts
 
 
 def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
@@ -38,6 +66,8 @@ def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
     """
     hint = f"delete {path} and run the command that made it with --resume"
     facts, arrays = _read(path, hint)
+    if facts.dataset is not None and facts.dataset != manifest.parts_belong_to:
+        raise _another_datasets(path, facts, manifest)
     if (facts.first_frame, facts.frames + len(facts.skipped)) != (plan.first, plan.frames):
         raise DatasetError(f"{path.name} does not hold the frames that {MANIFEST_NAME} says", hint=hint)
     for name, size in facts.file_sizes.items():
@@ -87,6 +117,18 @@ def _read(path: Path, hint: str) -> tuple[PartFacts, dict[str, Any]]:
     if facts.checksum is not None and checksum(text.replace(facts.checksum, "", 1)) != facts.checksum:
         raise DatasetError(f"{path.name} is damaged: its zarr.json does not have the checksum that it states", hint=hint)
     return facts, arrays
+
+
+def _another_datasets(path: Path, facts: PartFacts, manifest: Manifest) -> DatasetError:
+    both = [(name.replace("_", " "), getattr(facts, name), getattr(manifest, name)) for name in _MADE_BY]
+    differing = [f"its {name} is {own!r}, {MANIFEST_NAME} says {stated!r}" for name, own, stated in both if own != stated]
+    what = "; ".join(differing) or f"generator and seed are those of {MANIFEST_NAME}, its configuration is another"
+    ids = f"it names {facts.dataset}, the parts of this one {manifest.parts_belong_to}"
+    return DatasetError(
+        f"{path} is a part of another dataset: {what} ({ids})",
+        hint=f"move it back to where it came from, then run the command that made this dataset with --resume; "
+        f"if {MANIFEST_NAME} was changed, restore it as it was written",
+    )
 
 
 def _disagrees(path: Path, what: str) -> DatasetError:

@@ -9,6 +9,7 @@ The last line of the manifest is the checksum of the lines before it. Datasets m
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -291,6 +292,16 @@ class Manifest(BaseModel):
     def listed_parts(self) -> list[dict[str, Any]]:
         """The parts as plain data, in order."""
         return [{"name": p.name, "first": p.first, "frames": p.frames} for p in self.parts]
+
+    @cached_property
+    def parts_belong_to(self) -> str:
+        """What each part names its dataset by: a checksum of the manifest without what may change while the parts stay the same.
+
+        That is the number of frames, which `--resume` raises, and the licence. A field that is added to the manifest has to be
+        left out where it has its default, or the parts of older datasets are taken for another dataset's.
+        """
+        data = self.model_dump(mode="json", by_alias=True, exclude={"frames", "licence"})
+        return checksum(json.dumps(data, sort_keys=True))
 
     @property
     def part_count(self) -> int:

@@ -97,9 +97,10 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
 def _fill(source: Source, folder: Path, report: Report | None) -> None:
     """Write the frames of a source into a new folder."""
     manifest, frames, done = source.manifest, source.frames(), 0
+    last: str | None = None  # two imports may have one manifest: each part names the one before it, too
     with create_dataset(folder, manifest):
         for plan in manifest.parts:
-            with PartWriter(folder, plan, manifest) as part:
+            with PartWriter(folder, plan, manifest, after=last) as part:
                 for _ in range(plan.frames):
                     frame = next(frames, None)
                     if frame is None:
@@ -110,6 +111,7 @@ def _fill(source: Source, folder: Path, report: Report | None) -> None:
                     done += 1
                     if report is not None:
                         report(done)
+            last = part.checksum
 
 
 def check_new_dataset(folder: Path, *, overwrite: bool) -> None:

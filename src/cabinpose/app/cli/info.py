@@ -71,12 +71,16 @@ def _print_dataset(command: Info) -> None:
     for doubt in label_warnings(chosen):
         warnings.warn(f"{command.dataset}: {doubt}", stacklevel=2)
     summary = summarise(dataset, manifest, command.dataset, chosen)
-    unchecked = dataset.attrs["parts_without_checksum"]
+    unchecked, unbound = dataset.attrs["parts_without_checksum"], dataset.attrs["parts_without_dataset"]
     if command.as_json:
         checks = {"verified": command.verify, "checksum": manifest.checksum, "parts_without_checksum": unchecked}
+        checks["parts_without_dataset"] = unbound
         print_json(dataclasses.asdict(summary) | checks)
         return
     print_rows(_dataset_rows(summary))
+    if unbound:
+        those = f"{unbound} of {summary.parts} parts"
+        print(f"{those} were written before parts named their dataset: whether they are of this one is not known")
     if command.verify:
         print(f"{count} frames were read; all checksums are right")
         if unchecked or manifest.checksum is None:
