@@ -46,7 +46,7 @@ class Drawing:
 @pytest.fixture(autouse=True)
 def strips_are_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """The two strips below stand for people, and nothing is seen in them."""
-    monkeypatch.setattr("cabinpose.estimate.joint_predictor.unseen", lambda _, filled: [""] * len(filled))
+    monkeypatch.setattr("cabinpose.estimate.joint_predictor.unseen", lambda _, filled: [("", "")] * len(filled))
 
 
 def frames(driver_u: float, passenger_u: float, count: int = 1, **more: Any) -> FrameBatch:
