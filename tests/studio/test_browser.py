@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import re
 import time
 from collections.abc import Callable
@@ -115,6 +117,65 @@ def test_frame_is_not_accepted_before_it_is_seen(page: Any, start: Callable[...,
     page.locator(".frame-canvas[data-seen$='/1/depth']:visible").wait_for()
     page.keyboard.press("Enter")
     page.get_by_text("2 of 6 frames done").wait_for()
+
+
+KEYS = """([count, rate]) => new Promise(done => {
+  const box = [...document.querySelectorAll('.frame-canvas')].find(e => e.offsetParent), begin = performance.now();
+  let states = 'vhs', sent = 0;
+  const clock = setInterval(() => {
+    for (; sent < count && sent < (performance.now() - begin) / 1000 * rate; sent++)
+      box.dispatchEvent(new KeyboardEvent('keydown', { key: states[Math.floor(sent / 14) % 3], bubbles: true }));
+    if (sent === count) { clearInterval(clock); done(); }
+  }, 5);
+})"""  # a state for each of 14 joints in turn, so many, so many a second
+
+
+@pytest.mark.slow
+def test_a_burst_in_two_windows_is_on_the_disk(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """However fast changes come: each is in the journal once, and both pages show what is there."""
+    count = int(os.environ.get("CABINPOSE_BURST", "100"))
+    address = start(dataset_folder).address
+    windows = [page, page.context.new_page()]
+    for window in windows:
+        window.goto(address)
+        tab(window, "Label")
+        canvas(window).wait_for()
+    began = time.monotonic()
+    for window in windows:
+        window.evaluate(f"() => {{ window.burst = ({KEYS})([{count}, 30]) }}")
+    for window in windows:
+        window.evaluate("() => window.burst")
+    sent_s = time.monotonic() - began
+    journal = dataset_folder.with_name(dataset_folder.name + ".labels.jsonl")
+    waiting = [window.locator(".frame-canvas-inputs").all_inner_texts() for window in windows]
+    until(lambda: len(journal.read_text().splitlines()) == 2 * count + 1, 60)
+    last_s = time.monotonic() - began - sent_s
+    logging.getLogger(__name__).info("%d keys in %.2f s, on the disk %.2f s later; told %s", 2 * count, sent_s, last_s, waiting)
+    for window in windows:
+        window.get_by_text(f"{2 * count} changes in").wait_for()
+        assert window.locator(".frame-canvas-inputs").count() == 0
+    windows[1].close()
+
+
+@pytest.mark.slow
+def test_what_is_not_written_is_told(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """While the studio does not answer, and when the page is no longer its own."""
+    server = start(dataset_folder)
+    page.goto(server.address)
+    tab(page, "Label")
+    shown = canvas(page)
+    shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])
+    page.route("**/inputs/*", lambda route: route.abort())
+    page.keyboard.press("v")
+    page.keyboard.press("h")
+    page.get_by_text("the studio does not answer: 2 inputs not yet written").wait_for()
+    assert labels_beside(dataset_folder) == {}
+    page.unroute("**/inputs/*")
+    until(lambda: len(labels_beside(dataset_folder)) == 2)
+    page.get_by_text("not yet written").wait_for(state="detached")
+    page.route("**/inputs/*", lambda route: route.fulfill(status=404, body="gone"))
+    page.keyboard.press("v")
+    page.get_by_text("this page is not the studio's any more: 1 input not written").wait_for()
 
 
 @pytest.mark.slow

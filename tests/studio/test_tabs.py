@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from fastapi import APIRouter, FastAPI
@@ -19,6 +20,7 @@ from nicegui.testing.user_download import UserDownload
 from starlette.testclient import TestClient
 
 from cabinpose.app.label.labelling import Labelling
+from cabinpose.app.studio.canvas import MOST_INPUTS, FrameCanvas, input_routes
 from cabinpose.app.studio.exchange import MOST_BYTES
 from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
 from cabinpose.app.studio.page import TABS, shared_by, studio_page
@@ -27,6 +29,7 @@ from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.predictions import Predictions, empty_batch
 from cabinpose.store.schema import DEPTH_SCALE_M, MANIFEST_NAME, manifest_yaml, with_checksum_line
@@ -274,6 +277,54 @@ def test_undo_says_what_another_window_has_set(workspace: Workspace) -> None:
         user.find("Undo").click()
         await user.should_see("13 joints undone; 1 stay: they were set in another window since")
         assert list(workspace.labels.now) == [(0, "driver", "neck")]
+
+    used(workspace, steps)
+
+
+def test_inputs_are_done_once_and_in_order_or_told(workspace: Workspace) -> None:
+    """What a window sends: keys of one request, the same request again, another window's, an image before, a journal that is gone."""
+    server = FastAPI()
+    server.include_router(input_routes())
+
+    async def steps(user: User) -> None:
+        user.find("Label").click()
+        await user.should_see("0 of 6 frames done")
+        (canvas,) = (c for c in user.find(kind=FrameCanvas).elements if c.props["inputs"])
+        begun = canvas.props["url"]
+        journal = workspace.labels.path
+
+        async def ask(keys: str, first: int, window: str = "one", url: str = begun, **values: Any) -> dict[str, Any]:
+            inputs = [{"n": first + i, "event": "key", "url": url, "key": key} | values for i, key in enumerate(keys)]
+            transport = httpx.ASGITransport(server)
+            async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as http:
+                answer = await http.post(canvas.props["inputs"], json={"window": window, "inputs": inputs})
+            told: dict[str, Any] = answer.json() | {"code": answer.status_code}
+            return told
+
+        def states() -> list[tuple[str, int]]:
+            return [(change["joint"], change["visibility"]) for change in map(json.loads, journal.read_text().splitlines()[1:])]
+
+        done = {"code": 200, "missed": 0, "refused": 0, "why": ""}
+        first, second, third = CABINPOSE.sets["upper body"][:3]
+        assert await ask("vh", 1) == done | {"taken": 2}
+        assert await ask("vho", 1) == done | {"taken": 3}  # an answer was lost: two of these are done already
+        assert states() == [(first, Visibility.VISIBLE), (second, Visibility.OCCLUDED), (third, Visibility.OUTSIDE_IMAGE)]
+        assert await ask("z", 1, "two") == done | {"taken": 1}  # another window counts for itself
+        assert len(states()) == 4
+        assert await ask("vv", 4, url="/frames/before") == done | {"taken": 5, "missed": 2}
+        place = {"event": "place", "u": 30.0, "v": 40.0}
+        assert (await ask("-", 6, **place))["taken"] == 6
+        (placed,) = (json.loads(line) for line in journal.read_text().splitlines()[5:])
+        assert (placed["how"], placed["u"], placed["v"]) == ("placed", 30.0, 40.0)
+        assert (await ask("-", 7, u="x"))["code"] == 422
+        assert (await ask("v" * (MOST_INPUTS + 1), 7))["code"] == 422
+        journal.rename(journal.with_name("aside"))
+        told = await ask("vh", 7)
+        assert (told["taken"], told["refused"]) == (8, 2)
+        assert "was deleted or renamed" in told["why"]
+        assert not journal.exists()
+        canvas.delete()
+        assert (await ask("v", 9))["code"] == 404
 
     used(workspace, steps)
 

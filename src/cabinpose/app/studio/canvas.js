@@ -1,6 +1,8 @@
 // A frame's image in colours and its people's joints over it. Depth and amplitude come as 16 bits a pixel and are coloured here, so
 // that contrast and zoom cost the server nothing; a joint is dragged here, and the server told where it was let go.
 const HIT_PX = 12; // on the screen, from a joint to the pointer that takes it
+const TELL_MS = 400, AGAIN_MS = 500, ANSWER_MS = 20000, SHOWN_MS = 8000; // what waits so long is told; tried again; given up; words stay
+const counted = (count) => (count === 1 ? "1 input" : count + " inputs");
 
 export default {
   template: `
@@ -8,12 +10,20 @@ export default {
       <canvas ref="canvas" style="width:100%;height:100%;display:block;cursor:crosshair;touch-action:none"></canvas>
       <div ref="note" style="position:absolute;left:8px;bottom:6px;font:12px monospace;color:#fff;background:#0009;
         padding:1px 6px;border-radius:4px;pointer-events:none"></div>
+      <div v-if="unwritten || untaken" role="status" class="frame-canvas-inputs" style="position:absolute;right:8px;top:6px;max-width:60%;
+        font:13px sans-serif;color:#fff;background:#a33;padding:3px 8px;border-radius:4px;pointer-events:none">
+        {{ [unwritten, untaken].filter((words) => words).join("; ") }}</div>
       <div v-if="state" style="position:absolute;inset:0;display:flex;align-items:center;justify-content:center;color:#889;
         font:14px sans-serif;pointer-events:none">{{ state }}</div>
     </div>`,
-  props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array },
-  data: () => ({ state: "loading", seen: "", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
+  props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array, inputs: String, most: Number },
+  data: () => ({ unwritten: "", untaken: "", state: "loading", seen: "", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
+  created() { // what is done here and not yet there, oldest first
+    Object.assign(this, { queue: [], number: 0, name: Math.random().toString(36).slice(2), sending: false, trouble: "", closed: false });
+    this.leaving = (event) => { if (this.queue.length) event.preventDefault(); };
+  },
   mounted() {
+    window.addEventListener("beforeunload", this.leaving);
     const canvas = this.$refs.canvas;
     this.context = canvas.getContext("2d");
     this.observer = new ResizeObserver(() => this.fit());
@@ -25,7 +35,7 @@ export default {
     this.$refs.box.addEventListener("keydown", this.key);
     this.load();
   },
-  unmounted() { this.observer.disconnect(); },
+  unmounted() { this.observer.disconnect(); window.removeEventListener("beforeunload", this.leaving); },
   watch: {
     url() { this.load(); },
     near() { this.recolour(); }, far() { this.recolour(); }, palette() { this.recolour(); },
@@ -173,7 +183,7 @@ export default {
       const hit = event.button === 0 ? this.nearest(event) : null;
       const panning = event.button !== 0 || event.shiftKey;
       this.drag = { url: this.seen, hit, panning, moved: false, from: [event.clientX, event.clientY], view: { ...this.place() } };
-      if (hit) this.$emit("pick", { url: this.seen, person: hit[0], joint: hit[1] });
+      if (hit) this.ask("pick", { url: this.seen, person: hit[0], joint: hit[1] });
     },
     move(event) {
       if (!this.image) return;
@@ -196,9 +206,9 @@ export default {
       this.drag = null;
       if (!this.image || !drag || drag.panning) return;
       const { u, v } = this.pixel(event);
-      if (drag.hit && drag.moved && this.editable) this.$emit("place", { url: drag.url, person: drag.hit[0], joint: drag.hit[1], u, v, dragged: true });
+      if (drag.hit && drag.moved && this.editable) this.ask("place", { url: drag.url, person: drag.hit[0], joint: drag.hit[1], u, v, dragged: true });
       else if (!drag.hit && !drag.moved && u > -0.5 && v > -0.5 && u < this.image.width - 0.5 && v < this.image.height - 0.5)
-        this.$emit("place", { url: drag.url, u, v, dragged: false });
+        this.ask("place", { url: drag.url, u, v, dragged: false });
     },
     leave() { this.$refs.note.textContent = ""; },
     tell(u, v) {
@@ -209,7 +219,51 @@ export default {
     key(event) {
       if (event.ctrlKey || event.metaKey || event.altKey) { if (!(event.ctrlKey && event.key === "z")) return; }
       event.preventDefault();
-      this.$emit("key", { url: this.seen, key: event.key, shift: event.shiftKey, ctrl: event.ctrlKey });
+      this.ask("key", { url: this.seen, key: event.key, shift: event.shiftKey });
+    },
+    ask(event, values) {
+      if (!this.inputs) return;
+      this.queue.push({ n: ++this.number, event, since: performance.now(), ...values });
+      this.send();
+    },
+    async send() { // one request at a time, with all that waits: the next goes once this one is done
+      if (this.sending) return;
+      this.sending = true;
+      const clock = setInterval(() => this.tellWaiting(), TELL_MS / 2);
+      while (this.queue.length && !this.closed) {
+        const inputs = this.queue.slice(0, this.most).map(({ since, ...input }) => input);
+        try {
+          const body = JSON.stringify({ window: this.name, inputs });
+          const answer = await fetch(this.inputs, { method: "POST", headers: { "content-type": "application/json" }, body, signal: AbortSignal.timeout(ANSWER_MS) });
+          if (answer.status >= 500) throw new Error();
+          this.closed = answer.status === 404;
+          if (this.closed) break;
+          const said = answer.ok ? await answer.json() : { taken: inputs[inputs.length - 1].n, missed: 0, refused: inputs.length, why: await answer.text() };
+          this.queue = this.queue.filter(({ n }) => n > said.taken);
+          this.trouble = "";
+          this.tellRefused(said);
+        } catch {
+          this.trouble = "the studio does not answer: ";
+          await new Promise((ready) => setTimeout(ready, AGAIN_MS));
+        }
+      }
+      clearInterval(clock);
+      this.sending = false;
+      this.tellWaiting();
+    },
+    tellWaiting() {
+      const count = this.queue.length, old = count && performance.now() - this.queue[0].since > TELL_MS;
+      if (this.closed) this.unwritten = count ? `this page is not the studio's any more: ${counted(count)} not written; load it again` : "";
+      else this.unwritten = old ? `${this.trouble}${counted(count)} not yet written` : "";
+    },
+    tellRefused({ missed, refused, why }) {
+      if (!missed && !refused) return;
+      const words = [];
+      if (missed) words.push(`${counted(missed)} not taken: the next frame was not shown yet`);
+      if (refused) words.push(`${counted(refused)} not taken: ${why}`);
+      this.untaken = words.join("; ");
+      clearTimeout(this.forgetting);
+      this.forgetting = setTimeout(() => { this.untaken = ""; }, SHOWN_MS);
     },
     focus() { this.$refs.box.focus(); },
   },

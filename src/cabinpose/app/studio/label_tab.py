@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from nicegui import run, ui
 
 from cabinpose.app.label.labelling import Labelling, Shown, Undone
-from cabinpose.app.studio.canvas import GREY, FrameCanvas
+from cabinpose.app.studio.canvas import GREY, FrameCanvas, Input
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.exchange import Exchange, Passing
 from cabinpose.app.studio.models import choices, first_choice, frame_errors, load_choice, worst_first
@@ -36,6 +39,7 @@ _HELP = (
 _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
 _WORST = "worst:"  # and the name of predictions
 _REFUSED = object()  # of a change that could not be kept
+_REDRAW_S = 0.15  # between two drawings while changes come faster: what is drawn takes thirty times as long as a change
 
 
 class LabelTab:
@@ -49,6 +53,10 @@ class LabelTab:
         self._queue = list(range(len(labelling.numbers)))
         self._position = 0
         self._changes_seen = len(labelling.labels.history)
+        self._drawn_at = 0.0
+        self._redraw: asyncio.TimerHandle | None = None
+        self._refusal = self._told = ""  # why what was asked for last could not be done; what a message said
+        self._rows: list[_JointRow] = []
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
@@ -56,7 +64,7 @@ class LabelTab:
                 self._trouble = ui.label().classes("studio-news w-full").mark("trouble")
                 self._trouble.visible = False
                 with ui.element("div").classes("studio-pane w-full"):
-                    self._canvas = FrameCanvas(editable=True, on_pick=self._pick, on_place=self._place, on_key=self._key)
+                    self._canvas = FrameCanvas(editable=True, on_input=self._input)
                 with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
                     ui.button(icon="chevron_left", on_click=lambda: self._go(-1)).props("flat round dense").tooltip("b")
                     self._slider = ui.slider(min=0, max=max(len(self._queue) - 1, 1), value=0, on_change=self._slid)
@@ -86,11 +94,11 @@ class LabelTab:
         with ui.row().classes("no-wrap w-full items-center"):
             self._image = ui.select(images, value="depth", on_change=self._show).props("dense outlined").style("flex: 1")
             self._contrast = ui.range(min=0.0, max=1.0, step=0.01, value={"min": 0.0, "max": 1.0}, on_change=self._show)
-            self._contrast.style("flex: 1").tooltip("contrast")
+            self._contrast.style("flex: 1; margin-right: 10px").tooltip("contrast")
         self._list = ui.column().classes("w-full").style("gap: 0")
         with ui.row().classes("no-wrap w-full").style("gap: 6px"):
             self._changing = [
-                ui.button(words, on_click=lambda key=key: self._key({"key": key}))
+                ui.button(words, on_click=lambda key=key: self._key(key))
                 .props("dense outline no-caps")
                 .style("flex: 1; font-size: 12px")
                 .tooltip(key)
@@ -108,26 +116,37 @@ class LabelTab:
 
     # ------------------------------------------------------------------------------------------------ what is asked for
 
+    def _input(self, given: Input) -> str:
+        """Do what was done to the image; why it could not be, or ""."""
+        self._refusal = ""
+        if given.event == "pick":
+            self._pick(given.person, given.joint)
+        elif given.event == "place":
+            self._place(given)
+        else:
+            self._key(given.key, shift=given.shift)
+        return self._refusal
+
     def _pick(self, person: int, joint: int) -> None:
         if person == 0:
-            self._chosen = joint
-            self._show()
+            self._chosen = joint % len(self._labelling.joints)
+            self._show_soon()
 
-    def _place(self, where: Mapping[str, Any]) -> None:
-        dragged = bool(where["dragged"])
-        if dragged:
-            self._chosen = int(where["joint"])
-        u, v = float(where["u"]), float(where["v"])
-        if not np.isfinite([u, v]).all():
+    def _choose(self, joint: int, _: object) -> None:
+        self._pick(0, joint)
+
+    def _place(self, where: Input) -> None:
+        if where.dragged:
+            self._chosen = where.joint % len(self._labelling.joints)
+        if not np.isfinite([where.u, where.v]).all():
             return
         joint = self._labelling.joints[self._chosen]
-        self._do(lambda: self._labelling.place(self._row, self._person, joint, u, v))
-        if not dragged:
+        kept = self._do(lambda: self._labelling.place(self._row, self._person, joint, where.u, where.v)) is not _REFUSED
+        if kept and not where.dragged:
             self._next_joint()
-        self._show()
+        self._show_soon()
 
-    def _key(self, pressed: Mapping[str, Any]) -> None:
-        key, shift = str(pressed["key"]), bool(pressed.get("shift"))
+    def _key(self, key: str, *, shift: bool = False) -> None:
         labelling, joint = self._labelling, self._labelling.joints[self._chosen]
         if key == "Enter":
             if self._do(lambda: labelling.accept(self._row, self._person)) is not _REFUSED:
@@ -139,8 +158,8 @@ class LabelTab:
         if key == "Tab":
             self._next_joint(-1 if shift else 1)
         elif key in _STATE_KEYS:
-            self._do(lambda: labelling.mark(self._row, self._person, joint, _STATE_KEYS[key]))
-            self._next_joint()
+            if self._do(lambda: labelling.mark(self._row, self._person, joint, _STATE_KEYS[key])) is not _REFUSED:
+                self._next_joint()
         elif key in _NUDGE:
             self._nudge(joint, *_NUDGE[key], 5 if shift else 1)
         elif key == "c" and not self._do(lambda: labelling.copy(self._row, self._person)):
@@ -149,7 +168,7 @@ class LabelTab:
             ui.notify("interpolating needs a labelled frame before this one and one after it, of the same sequence")
         elif key == "z":
             self._undo()
-        self._show()
+        self._show_soon()
 
     def _undo(self) -> None:
         undone = self._do(self._labelling.undo)
@@ -177,11 +196,16 @@ class LabelTab:
     def _do(self, change: Callable[[], Any]) -> Any:
         """Make a change, and give what it gives; one that cannot be kept is told, and `_REFUSED`."""
         try:
-            return change()
+            given = change()
         except CabinposeError as error:
-            ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000)
-            self._look_for_trouble()
+            self._refusal = error.in_one_line()
+            if self._refusal != self._told:  # not for each of a burst
+                ui.notify(self._refusal, type="negative", multi_line=True, timeout=10_000)
+                self._look_for_trouble()
+            self._told = self._refusal
             return _REFUSED
+        self._told = ""
+        return given
 
     def _nudge(self, joint: str, du: int, dv: int, step: int) -> None:
         label = next(s.label for s in self._labelling.shown(self._row, self._person) if s.joint == joint)
@@ -290,13 +314,30 @@ class LabelTab:
 
     # ------------------------------------------------------------------------------------------------ what is shown
 
+    def _show_soon(self) -> None:
+        """Show what has changed within one frame: at once, unless it was shown just now."""
+        wait = self._drawn_at + _REDRAW_S - time.monotonic()
+        if wait <= 0:
+            self._show()
+        elif self._redraw is None:
+            self._redraw = asyncio.get_running_loop().call_later(wait, self._show_now)
+
+    def _show_now(self) -> None:
+        if not self._canvas.is_deleted:
+            with self._canvas:
+                self._show()
+
     def _show(self) -> None:
+        if self._redraw is not None:
+            self._redraw.cancel()
+            self._redraw = None
         try:
             self._show_frame()
         except (CabinposeError, OSError) as error:
             ui.notify(f"this frame cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
 
     def _show_frame(self) -> None:
+        self._drawn_at = time.monotonic()
         labelling, row = self._labelling, self._row
         self._changes_seen = len(labelling.labels.history)
         shown = labelling.shown(row, self._person)
@@ -310,33 +351,20 @@ class LabelTab:
         self._slider.value = self._position
         place = f"frame {labelling.numbers[row]}, {self._position + 1} of {len(self._queue)}"
         self._number.text = place + (", done" if done else "")
-        self._list.clear()
-        with self._list:
-            for index, each in enumerate(shown):
-                self._joint_row(index, each)
+        self._show_joints(shown)
         whole_frames = len(labelling.key_frames(self._person))
         self._saved.text = (
             f"{whole_frames} of {len(labelling.numbers)} frames done; {len(labelling.labels.history)} changes in "
             f"{labelling.labels.path.name}"
         )
 
-    def _joint_row(self, index: int, shown: Shown) -> None:
-        state = shown.label.visibility if shown.label is not None else Visibility.ABSENT
-        row = (
-            ui.row()
-            .classes("no-wrap items-center w-full")
-            .style(
-                "gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer;"
-                + ("background: #2f6f9f44" if index == self._chosen else "")
-            )
-        )
-        row.on("click", lambda: self._pick(0, index))
-        with row:
-            ui.element("div").style(f"width: 10px; height: 10px; border-radius: 5px; background: {_COLOUR.get(state, '#0000')}")
-            ui.label(shown.joint).style("flex: 1")
-            if shown.doubt:
-                ui.icon("warning", color="pink").tooltip(shown.doubt)
-            ui.label({"label": "", "none": "to place"}.get(shown.origin, shown.origin)).style("opacity: .6; font-size: 12px")
+    def _show_joints(self, shown: Sequence[Shown]) -> None:
+        if [each.joint for each in self._rows] != [each.joint for each in shown]:
+            self._list.clear()
+            with self._list:
+                self._rows = [_JointRow(each.joint, partial(self._choose, index)) for index, each in enumerate(shown)]
+        for index, (row, each) in enumerate(zip(self._rows, shown, strict=True)):
+            row.show(each, chosen=index == self._chosen)
 
     def _show_image(self, row: int) -> None:
         name, chosen = self._image.value, self._contrast.value
@@ -347,6 +375,32 @@ class LabelTab:
         near, far = low + chosen["min"] * (high - low), low + chosen["max"] * (high - low)
         url = self._workspace.url(int(self._labelling.numbers[row]), str(name))
         self._canvas.show(url, near=near, far=far, palette=GREY if name in GREYS else None)
+
+
+class _JointRow:
+    """A joint in the list. Only what is another is sent: while somebody labels, most of twenty rows stay as they are."""
+
+    def __init__(self, joint: str, on_click: Callable[..., Any]) -> None:
+        self.joint = joint
+        self._now: tuple[Any, ...] | None = None
+        self._row = ui.row().classes("studio-joint no-wrap items-center w-full").on("click", on_click, args=[])
+        with self._row:
+            self._dot = ui.element("div").style("width: 10px; height: 10px; border-radius: 5px")
+            ui.label(joint).style("flex: 1")
+            with ui.icon("warning", color="pink") as self._warning:
+                self._doubt = ui.tooltip()
+            self._origin = ui.label().style("opacity: .6; font-size: 12px")
+
+    def show(self, shown: Shown, *, chosen: bool) -> None:
+        """shown: of this joint."""
+        state = shown.label.visibility if shown.label is not None else Visibility.ABSENT
+        if (now := (state, shown.doubt, shown.origin, chosen)) == self._now:
+            return
+        self._now = now
+        self._dot.style(f"background: {_COLOUR.get(state, '#0000')}")
+        self._warning.visible, self._doubt.text = bool(shown.doubt), shown.doubt
+        self._origin.text = {"label": "", "none": "to place"}.get(shown.origin, shown.origin)
+        self._row.style("background: " + ("#2f6f9f44" if chosen else "#0000"))
 
 
 def _drawn(shown: Shown) -> dict[str, Any]:

@@ -20,6 +20,7 @@ body { font-family: system-ui, sans-serif; }
 .studio-main { flex: 1; min-width: 0; height: 100%; gap: 8px; }
 .studio-pane { flex: 1; min-width: 0; min-height: 0; border-radius: 6px; overflow: hidden; background: #1b1e24; }
 .studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
+.studio-joint { gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer; }
 .studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
 .studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
 .studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 0; }

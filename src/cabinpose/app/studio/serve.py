@@ -14,6 +14,7 @@ from nicegui import app as nicegui_app
 from nicegui import ui
 
 from cabinpose.app.studio.access import Guard, in_address
+from cabinpose.app.studio.canvas import input_routes
 from cabinpose.app.studio.clouds import cloud_routes
 from cabinpose.app.studio.page import shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
@@ -55,6 +56,7 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     app = FastAPI(openapi_url=None)
     app.include_router(image_routes(workspace.of_key))
     app.include_router(cloud_routes(workspace.of_key))
+    app.include_router(input_routes())
     shared = shared_by(workspace)
     for each in shared:
         app.include_router(each.routes())
