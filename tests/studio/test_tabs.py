@@ -282,7 +282,7 @@ def test_undo_says_what_another_window_has_set(workspace: Workspace) -> None:
 
 
 def test_inputs_are_done_once_and_in_order_or_told(workspace: Workspace) -> None:
-    """What a window sends: keys of one request, the same request again, another window's, an image before, a journal that is gone."""
+    """What windows send: keys, the same request again, what was meant for an image before, and what cannot be kept."""
     server = FastAPI()
     server.include_router(input_routes())
 
