@@ -140,7 +140,7 @@ def test_what_is_timed_is_what_predict_does(frames: tuple[Any, ...], model: Path
     monkeypatch.setattr(predictor, "poses", lambda *given: made.append(poses(*given)) or made[-1])
     subject = OurDetector(predictor, frames)
     for number in range(SHOWN + 1):
-        assert len(subject.frame(number)) == len(subject.stages) == 3
+        assert len(subject.frame(number)) == len(subject.stages) == 4
     subject.batch()
     monkeypatch.undo()
     for number in range(SHOWN + 1):
@@ -155,7 +155,7 @@ def test_given_answers_are_decoded_in_place_of_the_networks(frames: tuple[Any, .
     predictor = load_model(model, threads=1)
     given: list[Any] = []
     fake: Any = SimpleNamespace(
-        seen=predictor.seen, poses=lambda *_: None,
+        seen=predictor.seen, poses=lambda *_: None, believed=lambda *_: None,
         model=SimpleNamespace(
             session=predictor.model.session, outputs=predictor.model.outputs, config=None,
             method=SimpleNamespace(decode=lambda outputs, *_: given.append(outputs)),
@@ -210,7 +210,7 @@ def test_a_small_bench_has_every_figure(model: Path) -> None:
         assert figures_["weights"] == weights
         assert (figures_["method"], figures_["aim"], figures_["people"], figures_["decodes"]) == ("compact", 60.0, 2, "own")
         assert (figures_["camera"], figures_["view"]) == ([352, 287], [176, 144])
-        assert set(figures_["stages_ms"]) == {"input", "network", "decode"}
+        assert set(figures_["stages_ms"]) == {"input", "network", "decode", "checks"}
         assert 0 < figures_["p50_ms"] <= figures_["p95_ms"]
         assert len(figures_["runs"]) == 2
         assert figures_["frames_per_s_batch"] > 0
