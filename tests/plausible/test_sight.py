@@ -19,7 +19,7 @@ from cabinpose.estimate.sight import _Limits, _Seen
 
 SIDE = np.random.default_rng(3)
 LIMITS = _Limits(4)
-BUILDS = [p.name.split(".")[0] for p in Path(_native.__file__).parent.glob("_*.so")]
+BUILDS = [p.name.split(".")[0] for p in Path(str(_native._baseline.__file__)).parent.glob("_*.so")]
 Image = np.ndarray[Any, np.dtype[np.float64]]
 
 
