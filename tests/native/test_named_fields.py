@@ -14,7 +14,7 @@ import pytest
 from cabinpose._native import contact
 
 STUBS = sorted((Path(__file__).parents[2] / "src" / "cabinpose" / "_native").glob("*.pyi"))
-BY_CONVENTION = {"atan2", "see"}  # y, x; depth, amplitude
+BY_CONVENTION = {"atan2"}  # y, x
 
 
 def swappable(stub: str) -> Iterator[str]:

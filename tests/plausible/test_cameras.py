@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-import cabinpose
 from cabinpose.align import align_takes
 from cabinpose.align.board import Board
 from cabinpose.align.boardtake import BoardViews
@@ -33,7 +32,7 @@ from cabinpose.core import (
     check_camera,
     forget_told_cameras,
 )
-from cabinpose.estimate import JointPredictor, load_model
+from cabinpose.estimate import JointPredictor
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.store import Manifest, PartWriter, Source, create_dataset, import_source, open_dataset
 from cabinpose.store.convert.ntu import KINECT_V2
@@ -159,16 +158,6 @@ def test_cut_outs_are_refused_nowhere() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             check_camera(Camera(64, 48, 174.0, 174.0, 175.5 - left, 143.0 - top), "a cut-out")
-
-
-@pytest.fixture(scope="module")
-def frame() -> dict[str, Any]:
-    return next(cabinpose.generate("scene.cars=[suv]", frames=1, seed=4))
-
-
-@pytest.fixture(scope="module")
-def model() -> JointPredictor:
-    return load_model("in_car", threads=1)
 
 
 WRONG_MATRICES: dict[str, Callable[[F64], F64]] = {

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cabinpose
 from cabinpose import _native
 from cabinpose._native import estimate
 from cabinpose.core import PoseBatch, joined
@@ -21,16 +20,6 @@ SIDE = np.random.default_rng(3)
 LIMITS = _Limits(4)
 BUILDS = [p.name.split(".")[0] for p in Path(str(_native._baseline.__file__)).parent.glob("_*.so")]
 Image = np.ndarray[Any, np.dtype[np.float64]]
-
-
-@pytest.fixture(scope="module")
-def frame() -> dict[str, Any]:
-    return next(cabinpose.generate("scene.cars=[suv]", frames=1, seed=4))
-
-
-@pytest.fixture(scope="module")
-def model() -> JointPredictor:
-    return load_model("in_car", threads=1)
 
 
 def smooth(depth: Image) -> Image:
@@ -122,7 +111,10 @@ def test_the_kernel_counts_what_numpy_counts_and_either_build_the_same(frame: di
     depth = np.nan_to_num(frame["depth"]).astype(np.float32)
     light = frame["amplitude"].astype(np.float32)
     light[5, 7:9] = -9, np.nan
-    seen = [importlib.import_module(f"cabinpose._native.{name}").estimate.see(depth, light, LIMITS) for name in BUILDS]
+    seen = [
+        importlib.import_module(f"cabinpose._native.{name}").estimate.see(depth, amplitude=light, limits=LIMITS)
+        for name in BUILDS
+    ]
     assert all(each == seen[0] for each in seen)
     told = _Seen(*seen[0])
     some, valid = depth[::4, ::4], depth > 0
@@ -136,9 +128,9 @@ def test_the_kernel_counts_what_numpy_counts_and_either_build_the_same(frame: di
     v, u = np.mgrid[:160, :192] / 192
     surface = (1 / (0.7 + 0.5 * u - 0.2 * v + 0.6 * u * u + 0.1 * u * v - 0.3 * v * v)).astype(np.float32)
     surface[40:60, 30:90] = 0
-    assert _Seen(*estimate.see(surface, light[:0, :0], LIMITS))[-4::3] == (1920 - 70, 0)
+    assert _Seen(*estimate.see(surface, amplitude=light[:0, :0], limits=LIMITS))[-4::3] == (1920 - 70, 0)
     surface[:, 96:] *= 1.5
-    assert _Seen(*estimate.see(surface, light[:0, :0], LIMITS)).off > 500
+    assert _Seen(*estimate.see(surface, amplitude=light[:0, :0], limits=LIMITS)).off > 500
 
 
 @pytest.mark.real_data

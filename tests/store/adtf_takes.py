@@ -8,7 +8,7 @@ import numpy as np
 import yaml
 from adtfdat_file import IndexedFileWriter
 
-from cabinpose.signals.recorded import SegmentPoses, ToFFrame
+from cabinpose.signals.recorded import Facts, SegmentPoses, ToFFrame
 from cabinpose.store.recording import Recording
 
 
@@ -41,8 +41,8 @@ NAMES = {"tof": "camera", "suit": "mvn", "optical": "vicon"}
 
 
 def layout_of(rows: list) -> list[dict]:
-    """The streams' layout, by the first message of each."""
-    first = {source: message for source, _, message in reversed(rows)}
+    """The streams' layout, by the first message of each; what a camera says of itself is none."""
+    first = {source: message for source, _, message in reversed(rows) if not isinstance(message, Facts)}
     stamp = {"field": "stamp", "type": "tInt64", "gives": "time", "unit": "ns"}
     tof, suit, optical = first["tof"], first["suit"], first["optical"]
     size, k = list(tof.depth.shape), tof.camera_k

@@ -28,6 +28,7 @@ class SightLimits(Protocol):
 
 def see(
     depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), writable=False)],
+    *,
     amplitude: Annotated[NDArray[numpy.float32], dict(shape=(None, None), writable=False)],
     limits: SightLimits,
 ) -> tuple[int, int, int, int, int, int, int, int, int, int, int, int, int, int]:

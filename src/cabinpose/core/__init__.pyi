@@ -63,6 +63,8 @@ from .ports import Segmenter as Segmenter
 from .ports import images_of as images_of
 from .ports import joined as joined
 from .ports import require_images as require_images
+from .ports import unseen_words as unseen_words
+from .ports import without_numbers as without_numbers
 from .pose import OCCUPANT_SLOTS as OCCUPANT_SLOTS
 from .pose import STANDING_SLOT as STANDING_SLOT
 from .pose import DriveSide as DriveSide

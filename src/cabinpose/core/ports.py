@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 
@@ -87,7 +87,7 @@ class PoseBatch:
     def unseen(self) -> dict[str, int]:
         """Frames with a reason, counted by it; reasons that differ in numbers alone count as one, in the words of the first."""
         first: dict[str, str] = {}
-        reasons = [first.setdefault(re.sub(r"[0-9.]+", "0", each), each) for each in self.reason.ravel().tolist() if each]
+        reasons = [first.setdefault(without_numbers(each), each) for each in self.reason.ravel().tolist() if each]
         return {reason: reasons.count(reason) for reason in first.values()}
 
     def map(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> PoseBatch:
@@ -98,6 +98,16 @@ class PoseBatch:
             each = change(np.broadcast_to(self.reason[..., None, None], self.score.shape))
             reason = each[..., 0, 0] if each.size else reason
         return PoseBatch(**arrays, reason=np.asarray(reason, object), remarks=self.remarks)
+
+
+def without_numbers(message: str) -> str:
+    """What messages that differ in numbers alone have in common, by which they count as one."""
+    return re.sub(r"[0-9.]+", "0", message)
+
+
+def unseen_words(unseen: Mapping[str, int], frames: int) -> list[str]:
+    """Frames in which nobody can be seen, counted by reason (`PoseBatch.unseen`), of all `frames`, in words."""
+    return [f"{count} of {frames} frames: nobody can be seen: {reason}" for reason, count in unseen.items()]
 
 
 POSE_ARRAYS = ("joints_2d", "joints_3d", "score", "presence", "expected_error_m")

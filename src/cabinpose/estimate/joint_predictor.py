@@ -27,13 +27,11 @@ _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 class JointPredictor:
     """A trained model of joints, whatever its file holds; fulfils `core.ports.Predictor`."""
 
-    _warned_of_light = _warned_of_side = False
-
     def __init__(self, model: TrainedModel) -> None:
         """model: of a method whose task is joints."""
         self.model, self.config = model, model.config
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
-        self._warned: set[str] = set()
+        self._warned: set[str] = set()  # of what
         self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
 
     @property
@@ -67,23 +65,22 @@ class JointPredictor:
             return poses
         view = self.config.view
         judged = unseen(seen, [view.filled(camera) for camera in cameras])
-        told = [reason for reason, _ in judged]
-        remarks = tuple(dict.fromkeys(remark for _, remark in judged if remark))
+        reasons, remarks = ([text for text in texts if text] for texts in zip(*judged, strict=True))
         for remark in remarks[:1]:
-            self._warn_once("covered", remark)
-        if not any(told):
-            return replace(poses, remarks=(*poses.remarks, *remarks)) if remarks else poses
-        blind = np.array([bool(reason) for reason in told])
+            self._warn_once("a covered lens", remark)
+        for reason in reasons[:1]:
+            self._warn_once("nobody", f"a frame in which {self.name} cannot see anybody: {reason}; it has no joints")
+        if not reasons and not remarks:
+            return poses
+        reason = np.array([why for why, _ in judged], object)
         for name in POSE_ARRAYS:
-            getattr(poses, name)[blind] = 0.0 if name in ("score", "presence") else np.nan
-        first = next(filter(None, told))
-        self._warn_once("blind", f"a frame in which {self.name} cannot see anybody: {first}; it has no joints")
-        return replace(poses, reason=np.array(told, object), remarks=(*poses.remarks, *remarks))
+            getattr(poses, name)[reason != ""] = 0.0 if name in ("score", "presence") else np.nan
+        return replace(poses, reason=reason, remarks=(*poses.remarks, *dict.fromkeys(remarks)))
 
-    def _warn_once(self, what: str, words: str) -> None:
+    def _warn_once(self, of: str, words: str) -> None:
         """Warn, the first time that there is anything of this kind to say."""
-        if what not in self._warned:
-            self._warned.add(what)
+        if of not in self._warned:
+            self._warned.add(of)
             warnings.warn(words, stacklevel=4)
 
     def _turned(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.bool_]:
@@ -91,12 +88,11 @@ class JointPredictor:
         if not self.seats_by_place:
             return np.zeros(count, np.bool_)
         said = self.drive_side or self.model.drive_side or "drive_side" in frames
-        if not said and not self._warned_of_side and {"driver", "front_passenger"} & set(self.persons):
-            self._warned_of_side = True
-            warnings.warn(
+        if not said and {"driver", "front_passenger"} & set(self.persons):
+            self._warn_once(
+                "the wheel",
                 f"nothing says where the wheel is: {self.name} tells seats by place and takes it to be on the"
                 f" {self.config.drive_side}. Say it with --drive-side left or right, or in a dataset (`drive_side`)",
-                stacklevel=2,
             )
         told = np.full(count, self.drive_side) if self.drive_side or "drive_side" not in frames else frames["drive_side"][which]
         known = np.where(told == "", self.model.drive_side, told)
@@ -187,19 +183,18 @@ class JointPredictor:
         Warns once where the amplitudes cannot be what the model has learnt from.
         """
         seen = view_inputs(frames, which, cameras, self.config.view, self.config.inputs)
-        if "amplitude" in seen and not self._warned_of_light:
+        if "amplitude" in seen and "light" not in self._warned:
             amplitude, depth = (seen[name][..., ::_EVERY, ::_EVERY] for name in ("amplitude", "depth"))
             light = amplitude * depth**2
             # Counting tells on which side the median is, in less time than finding it takes.
             above = (0.0, _USUAL_LIGHT / _FAINTER, _USUAL_LIGHT * _BRIGHTER)
             lit, enough, brighter = (np.count_nonzero(light > least) for least in above)
             if 2 * max(lit - enough, brighter) > lit:
-                self._warned_of_light = True
                 median = float(np.median(light[light > 0]))
-                warnings.warn(
+                self._warn_once(
+                    "light",
                     f"the median of amplitude x depth² is {median:.3g}, where {self.name} has learnt from"
                     f" {_USUAL_LIGHT:g}: joints will be far off. Scale the amplitudes to that",
-                    stacklevel=2,
                 )
         return seen
 

@@ -25,10 +25,7 @@ ALL: Final = 0.97  # so much is all: the rest may be flying pixels
 MANY: Final = 0.5  # of the pixels: only a picture that is as full is judged by its shape; one person alone is nearly one surface
 FEWEST_PIXELS: Final = 200  # and those that are looked at: a small view of one standing person is nearly one surface
 OFF_SURFACE, FLAT = 0.05, 0.12  # so few means of 4 x 4 pixels are so far (share of their distance) off one surface; 0.157
-EDGE, FEWEST_EDGES = (
-    0.08,
-    0.005,
-)  # so few of these means differ from the next by so much: no silhouette, as between bare walls; 0.013
+EDGE, FEWEST_EDGES = 0.08, 0.005  # so few of these means differ from the next by so much: no silhouette; 0.013
 STEP, ROUGH = 0.15, 0.6  # so many neighbours differ by so much: noise; 0.30, and 0.45 of a few real pixels
 FEWEST_JOINED: Final = 0.4  # share of the pixels with a depth beside which is another, where they are few; 0.79
 LEAST_LIT: Final = 0.8  # share of the pixels with a depth that have an amplitude; 1.00
@@ -95,7 +92,7 @@ def unseen(seen: Mapping[str, F32], filled: Sequence[float]) -> list[tuple[str, 
 
 def _why(depth: F32, amplitude: F32 | None, filled: float, limits: _Limits) -> tuple[str, str]:
     """The reason and the remark of one frame: of reasons the first check that fails."""
-    seen = _Seen(*estimate.see(depth, _NONE if amplitude is None else amplitude, limits))
+    seen = _Seen(*estimate.see(depth, amplitude=_NONE if amplitude is None else amplitude, limits=limits))
     looked_at = -(-depth.shape[0] // limits.every) * -(-depth.shape[1] // limits.every)
     reason = _depth_reason(seen, seen.valid / max(looked_at * filled, 1.0))
     if not reason and amplitude is not None:

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cabinpose.core import PoseBatch
+from cabinpose.core import PoseBatch, unseen_words
 from cabinpose.evaluate.errors import finite
 from cabinpose.evaluate.mistakes import Explanation
 
@@ -50,8 +50,7 @@ class Caveats:
         answers are known to be of these.
         """
         missing = f"answers for {self.answered} of {self.frames} frames" if self.answered < self.frames else ""
-        blind = [f"{count} of {self.frames} frames: nobody can be seen: {reason}" for reason, count in self.unseen.items()]
-        return "; ".join(filter(None, (missing, *blind, _IDENTITY[self.identity])))
+        return "; ".join(filter(None, (missing, *unseen_words(self.unseen, self.frames), _IDENTITY[self.identity])))
 
 
 def remarks(batch: PoseBatch, size: tuple[int, int], presence: float) -> Iterator[str]:

@@ -191,7 +191,7 @@ Sight see(Array<const float, any, any> depth, Array<const float, any, any> ampli
 void bind_estimate(nb::module_& m) {
   describe<SightLimits>(m);
   m.def(
-      "see", &see, "depth"_a, "amplitude"_a, "limits"_a, unlocked(),
+      "see", &see, "depth"_a, nb::kw_only(), "amplitude"_a, "limits"_a, unlocked(),
       "What tells whether a frame can be a picture of people: valid, touching, near, nearer, pairs, steps, lit; over all pixels "
       "valid, joined, odd; blocks, pairs of them, edges, blocks off one surface.");
 }

@@ -209,6 +209,8 @@ def _reports(command: LiveCommand, live: Live) -> list[Any]:
 
 
 def _print(status: LiveStatus) -> None:
+    from cabinpose.core import unseen_words
+
     seen = status.feed.counts
     print(
         f"{status.frames} frames, {status.rate_hz:.1f} a second; "
@@ -230,8 +232,8 @@ def _print(status: LiveStatus) -> None:
         for cause, count in sorted(causes.items(), key=lambda item: -item[1]):
             print(printable(f"{name} failed {count} times: {cause}"), file=sys.stderr)
     for name, reasons in status.unseen.items():
-        for reason, count in reasons.items():
-            print(printable(f"{name}: {count} of {status.frames} frames: nobody can be seen: {reason}"), file=sys.stderr)
+        for words in unseen_words(reasons, status.frames):
+            print(printable(f"{name}: {words}"), file=sys.stderr)
 
 
 def _numbers(latency: Latency) -> tuple[str, str, str]:

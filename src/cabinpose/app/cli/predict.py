@@ -47,7 +47,7 @@ def run(command: Predict) -> None:
     """Run the model over the frames in their order and write the predictions."""
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.models import opened_models, tell_drive_side
-    from cabinpose.core import Segmenter
+    from cabinpose.core import Segmenter, unseen_words
     from cabinpose.evaluate import model_name, predict_dataset
     from cabinpose.store import (
         SUFFIX,
@@ -91,8 +91,8 @@ def run(command: Predict) -> None:
             tell_failed(model)
         write_predictions(command.out, predictions, overwrite=command.overwrite)
         told = {"unseen": predictions.unseen, "remarks": predictions.remarks}
-        for reason, times in predictions.unseen.items():
-            print(printable(f"{times} of {count} frames: nobody can be seen: {reason}"), file=sys.stderr)
+        for words in unseen_words(predictions.unseen, count):
+            print(printable(words), file=sys.stderr)
     if command.as_json:
         print_json({"predictions": str(command.out), "model": model_name(model), "frames": count} | told)
     else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cabinpose.app.live.feed import Feed, FeedStatus, LiveFrame
-from cabinpose.core import CabinposeError, PoseBatch, Predictor, images_of, joined, require_images, skeleton_of
+from cabinpose.core import CabinposeError, PoseBatch, Predictor, images_of, joined, require_images, skeleton_of, without_numbers
 from cabinpose.estimate import cameras_of
 from cabinpose.store import Predictions, empty_batch
 
@@ -92,7 +91,7 @@ _Counted = dict[str, tuple[str, int]]  # the first message, how often; by it wit
 
 def _count(message: str, known: _Counted) -> None:
     """Count a message; those that differ in numbers alone are one."""
-    key = re.sub(r"[0-9.]+", "0", message)
+    key = without_numbers(message)
     if key not in known and len(known) >= _MOST_CAUSES:
         key = message = "other causes"
     first, times = known.get(key, (message, 0))

@@ -132,9 +132,6 @@ class LabelTab:
             self._chosen = joint % len(self._labelling.joints)
             self._show_soon()
 
-    def _choose(self, joint: int, _: object) -> None:
-        self._pick(0, joint)
-
     def _place(self, where: Input) -> None:
         if where.dragged:
             self._chosen = where.joint % len(self._labelling.joints)
@@ -362,7 +359,7 @@ class LabelTab:
         if [each.joint for each in self._rows] != [each.joint for each in shown]:
             self._list.clear()
             with self._list:
-                self._rows = [_JointRow(each.joint, partial(self._choose, index)) for index, each in enumerate(shown)]
+                self._rows = [_JointRow(each.joint, partial(self._pick, 0, index)) for index, each in enumerate(shown)]
         for index, (row, each) in enumerate(zip(self._rows, shown, strict=True)):
             row.show(each, chosen=index == self._chosen)
 
@@ -380,7 +377,7 @@ class LabelTab:
 class _JointRow:
     """A joint in the list. Only what is another is sent: while somebody labels, most of twenty rows stay as they are."""
 
-    def __init__(self, joint: str, on_click: Callable[..., Any]) -> None:
+    def __init__(self, joint: str, on_click: Callable[[], Any]) -> None:
         self.joint = joint
         self._now: tuple[Any, ...] | None = None
         self._row = ui.row().classes("studio-joint no-wrap items-center w-full").on("click", on_click, args=[])

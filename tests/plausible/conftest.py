@@ -1,0 +1,22 @@
+"""A true frame, and a model that answers it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import cabinpose
+from cabinpose.estimate import JointPredictor, load_model
+
+
+@pytest.fixture(scope="session")
+def frame() -> dict[str, Any]:
+    """People in a car; read only."""
+    return next(cabinpose.generate("scene.cars=[suv]", frames=1, seed=4))
+
+
+@pytest.fixture(scope="module")
+def model() -> JointPredictor:
+    """It warns once of each kind, so that modules have their own."""
+    return load_model("in_car", threads=1)
