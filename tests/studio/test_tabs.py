@@ -6,6 +6,7 @@ import asyncio
 import json
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +180,23 @@ def test_two_predictions_of_one_model_are_two(workspace: Workspace) -> None:
     async def steps(user: User) -> None:
         user.find("Compare", kind=ui.tab).click()
         await user.should_see("frame 3: 27.0, 54.0")
+
+    used(workspace, steps)
+
+
+def test_what_evaluate_says_before_its_numbers_stands_in_compare(workspace: Workspace) -> None:
+    """An answer in millimetres, one that names no dataset, and one of which nothing is said."""
+    oracle, dataset = workspace.predictions["oracle"], workspace.dataset
+    assert dataset is not None
+    known = replace(oracle, dataset=dataset.attrs["dataset_id"])
+    workspace.predictions |= {"known": known, "scaled": replace(known, joints_3d=1000 * known.joints_3d)}
+
+    async def steps(user: User) -> None:
+        user.find("Compare", kind=ui.tab).click()
+        await user.should_see("oracle: the predictions name no dataset")
+        await user.should_see("scaled: errors fall from")
+        await user.should_see("if x, y and z are millimetres in place of metres")
+        await user.should_not_see("known: ")
 
     used(workspace, steps)
 

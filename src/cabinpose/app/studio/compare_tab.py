@@ -154,6 +154,7 @@ class CompareTab:
                 empty_state("These cannot be compared", str(error), error.hint or "")
             return
         with self._main:
+            self._caveats()
             self._numbers()
             self._curve()
             self._frame_panes()
@@ -164,6 +165,18 @@ class CompareTab:
     def _worst(self) -> list[int]:
         """Rows, worst first by the model whose mean distance is greatest there."""
         return worst_first(np.fmax.reduce([each.d for each in self._judged.values()])).tolist()
+
+    def _caveats(self) -> None:
+        """What `evaluate` says before and beside the numbers: what would explain the errors, coverage, notes."""
+        with ui.column().classes("w-full").style("gap: 4px").mark("caveats"):
+            for index, (name, each) in enumerate(self._judged.items()):
+                known = each.report.caveats
+                for explanation in known.explanations:
+                    words = f"{name}: {explanation.words} (the numbers below are of the answers as they are)"
+                    ui.label(words).classes("studio-news w-full").style("font-weight: 600")
+                style = f"font-size: 13px; border-left: 3px solid {_colour(index)}; padding-left: 8px"
+                for words in filter(None, (known.coverage, *known.notes)):
+                    ui.label(f"{name}: {words}").style(style)
 
     def _numbers(self) -> None:
         space = str(self._space.value)
