@@ -61,6 +61,7 @@ from cabinpose.record.config import load_rig, load_take
 from cabinpose.scene.cabin.car_file import read_car_file
 from cabinpose.store import read_predictions
 from cabinpose.store.convert.adtf_layout import AdtfLayout
+from cabinpose.store.convert.camera_file import read_camera
 from cabinpose.store.split import read_splits
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.style.frame import StyleFrame
@@ -228,6 +229,11 @@ READERS: Mapping[str, Foreign] = MappingProxyType(
         "png-json classes": png_json("labels.json"),
         "png-json pose": png_json("pose/00000001.json"),
         "png-json labels": png_json("labels/00000001.png", in_png),
+        "depth-images": Foreign(".png", made.depth_image(".png"), always(made.depth_images), repack=in_png),
+        "depth-images tiff": Foreign(".tiff", made.depth_image(".tiff"), always(made.depth_images)),
+        "depth-images npy": Foreign(".npy", made.depth_image(".npy"), always(made.depth_images)),
+        "recording": Foreign(".mcap", made.filmed, always(made.frames_of("recording")), of_mcap, in_chunk),
+        "camera": yaml_file(made.OPENCV, lambda path: read_camera(path, (16, 12))),
         "dataset.yaml": of_folder(made.dataset, "dataset.yaml", made.load, in_manifest),
         "zarr.json": of_folder(made.dataset, "part-00000.zarr/zarr.json", made.load, in_group),
         "zarr depth": of_folder(made.dataset, "part-00000.zarr/depth/c/0/0/0", made.load, in_checked),

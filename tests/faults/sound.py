@@ -90,8 +90,8 @@ def filmed(folder: Path) -> bytes:
     k, image = np.array([[12.0, 0, 7.5], [0, 12.0, 5.5], [0, 0, 1]]), np.arange(192, dtype=np.uint16).reshape(12, 16)
     with RecordingWriter(path, Take(), started_ns=1000, chunking=Chunking(sync_s=0, flush_s=1e9, definitions_s=1e9)) as writer:
         for i in range(4):
-            frame = ToFFrame(image + i, 0.0001, image, (image % 256).astype(np.uint8), k, np.zeros(5), np.zeros(0))
-            writer.write("tof", Sample(i, 1000 + 100 * i, 100 * i, b"raw", (frame,)))
+            frame = ToFFrame(image + i, 0.0001, image, (image % 256).astype(np.uint8), k, np.zeros(5), np.zeros(5))
+            assert not writer.write("tof", Sample(i, 1000 + 100 * i, 100 * i, b"raw", (frame,)))
     return path.read_bytes()
 
 
@@ -150,6 +150,31 @@ def ntu(folder: Path) -> Path:
 
 def ticam(folder: Path) -> Path:
     return ticam_folder(folder) / "Train_images"
+
+
+OPENCV = {
+    "image_width": 16, "image_height": 12, "camera_matrix": {"rows": 3, "cols": 3, "data": [12.0, 0, 7.5, 0, 12.0, 5.5, 0, 0, 1]},
+    "distortion_coefficients": {"rows": 1, "cols": 5, "data": [-0.1, 0.01, 0.0, 0.0, 0.0]},
+}  # fmt: skip
+
+
+def depth_image(suffix: str) -> Callable[[Path], bytes]:
+    """A ramp from 0.5 m: whole millimetres as PNG, metres otherwise."""
+
+    def make(folder: Path) -> bytes:
+        depth = np.linspace(0.5, 2.0, 192, dtype=np.float32).reshape(12, 16)
+        path = folder / f"ramp{suffix}"
+        if suffix == ".npy":
+            np.save(path, depth)
+        else:
+            Image.fromarray((depth * 1000).astype(np.uint16) if suffix == ".png" else depth).save(path)
+        return path.read_bytes()
+
+    return make
+
+
+def depth_images(path: Path) -> None:
+    frames_of("depth-images", fov_deg=60.0)(path)
 
 
 def shown_as(kind: str, **options: Any) -> Callable[[Path], Path]:

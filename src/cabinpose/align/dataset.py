@@ -19,9 +19,9 @@ from cabinpose.align.streams import camera_identity, naming
 from cabinpose.align.visibility import visibility
 from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
-from cabinpose.store import DEPTH_SCALE_M, UNKNOWN, Manifest, Source, blank_frame
+from cabinpose.store import UNKNOWN, Manifest, Source, blank_frame
 from cabinpose.store.convert import put_camera, put_person
-from cabinpose.store.recording import Recording, Take, tof_frames
+from cabinpose.store.recording import Recording, Take, depth_ticks, tof_frames
 
 POV = "tof"
 _ALL = np.arange(len(JOINTS))
@@ -269,7 +269,7 @@ def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manife
             _check_size(aligned.path, image, calibration)
             depth = image.depth_m()
             frame = blank_frame(manifest)
-            frame["depth"] = _ticks(image)
+            frame["depth"] = depth_ticks(image)
             for name in FRAME_IMAGES:
                 if name in manifest.variables:
                     frame[name] = getattr(image, name)
@@ -318,11 +318,3 @@ def _check_size(path: Path, image: ToFFrame, calibration: Calibration) -> None:
             f"{path}: the camera has {width}x{height} pixels, the calibration is of {lens.width}x{lens.height}",
             hint="calibrate the camera in the mode that it records in",
         )
-
-
-def _ticks(image: ToFFrame) -> NDArray[np.uint16]:
-    """The depth in the steps of a dataset, 0 = invalid; what lies beyond them is invalid."""
-    if image.depth_unit_m == DEPTH_SCALE_M:
-        return image.depth
-    ticks = np.rint(image.depth * (image.depth_unit_m / DEPTH_SCALE_M))
-    return np.where(ticks <= np.iinfo(np.uint16).max, ticks, 0).astype(np.uint16)

@@ -181,5 +181,9 @@ def require_images(models: Iterable[Predictor | Segmenter], there: Collection[st
     """
     for model in models:
         if lacking := [name for name in images_of(model) if name not in there]:
-            known = ", ".join(name for name in IMAGES if name in there) or "no images"
-            raise DatasetError(f"{source} has no {', '.join(lacking)} for {model.name} to see", hint=f"it has {known}")
+            known = [name for name in IMAGES if name in there]
+            listed = f"; `cabinpose models --reads {' '.join(known)}` lists models that do with it" if known else ""
+            raise DatasetError(
+                f"{source} has no {', '.join(lacking)} for {model.name} to see",
+                hint=f"it has {', '.join(known) or 'no images'}{listed}",
+            )

@@ -83,9 +83,16 @@ class Samples(NamedTuple):
     near: Bool
 
     def spaces(self) -> dict[str, Space]:
-        """The errors by space, "2d" (px) and "3d" (m), in which the model answers at all; "2d" where it never answers."""
-        answered = {name: space for name, space in (("2d", self.px), ("3d", self.m)) if space.found.any()}
-        return answered or {"2d": self.px}
+        """The errors by space, "2d" (px) and "3d" (m), in which the model answers at all and the truth is known (a COCO file
+        knows pixels alone); "2d" where it never answers.
+        """
+        there = {name: space for name, space in (("2d", self.px), ("3d", self.m)) if space.found.any() and self._known(space)}
+        return there or {"2d": self.px}
+
+    def _known(self, space: Space) -> bool:
+        """Whether of any joint that counts and was found the truth is known; also where none was."""
+        judged = space.error[space.found & self.counts]
+        return not judged.size or bool(np.isfinite(judged).any())
 
 
 def collect(

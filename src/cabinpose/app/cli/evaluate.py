@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, metres, refuse_existing, renamed, several
+from cabinpose.app.cli.frames import ReadsFrames, as_dataset
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
 from cabinpose.core import ConfigError, DatasetError, write_together
@@ -33,7 +34,7 @@ _USUAL = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(RunsModels, SelectsFrames):
+class Evaluate(RunsModels, SelectsFrames, ReadsFrames):
     """Compare predictions, or models, with a dataset: a table by joint group, and with --out a page and report.json.
 
     Several predictions files and models are compared on the joints that all of them predict. Segmentations of body parts are
@@ -41,7 +42,7 @@ class Evaluate(RunsModels, SelectsFrames):
     """
 
     dataset: Annotated[Positional[Path | None], several("[DATASET]")] = None
-    """Folder of the dataset."""
+    """Folder of the dataset, or frames with labels that are none yet: a COCO folder with 16-bit images of depth."""
     itop_npz: Maybe[Path] = None
     """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""
     itop_view: Literal["side", "top"] = "side"
@@ -81,7 +82,8 @@ def run(command: Evaluate) -> None:
         hint = "give DATASET with --predictions or --model, or --itop-npz with --model"
         raise ConfigError("there is nothing to evaluate", hint=hint)
     else:
-        _run_dataset(command, command.dataset, options)
+        with as_dataset(command.dataset, command) as folder:
+            _run_dataset(command, folder, options)
 
 
 def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
@@ -101,6 +103,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     for answer in answers:
         check_predictions(answer, whole, names)
     dataset = selected(whole, command)
+    _check_labelled(dataset, folder)
     opened_now = opened_models(command.model, dataset, command.joints_from, names, command.images)
     chosen = [*_with_own_names(files, paths), *images, *opened_now]
     tell_drive_side(chosen, command.drive_side)
@@ -125,7 +128,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
             reports.append(make_report(samples, options, model_name(model), names[1], caveats))
         over_frames[reports[-1].model] = {space: frame_distances(samples, space, options) for space in samples.spaces()}
         tell_failed(model)
-    record = {"data": str(folder), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
+    record = {"data": str(command.dataset), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         from cabinpose.app.report.detectors import page_html
         from cabinpose.app.report.frames import frame_figures
@@ -146,6 +149,15 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         print_report(report, everything=command.everything)
     if command.out is not None:
         print(f"open {command.out / 'index.html'}", file=sys.stderr)
+
+
+def _check_labelled(dataset: xr.Dataset, folder: Path) -> None:
+    """Raise DatasetError for frames that came without labels; generated ones may have nobody in them."""
+    if str(dataset.attrs["generator"]).startswith("import ") and not dataset["visibility"].any() and not dataset["subject"].any():
+        raise DatasetError(
+            f"in none of the frames of {folder.name} is anybody labelled",
+            hint="import and label them (the studio's Label tab), and give --labels; `cabinpose predict` needs none",
+        )
 
 
 def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmenter], name: str) -> None:

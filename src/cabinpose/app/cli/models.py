@@ -18,6 +18,8 @@ class Models(PrintsJson):
 
     model: Annotated[Positional[str | None], several("MODEL")] = None
     """Name of a packaged model, or an ONNX or .npz file."""
+    reads: Annotated[tuple[str, ...], several("IMAGE [IMAGE ...]")] = ()
+    """Only models that do with these images: depth, amplitude."""
 
 
 COMMAND = Models
@@ -32,6 +34,8 @@ def run(command: Models) -> None:
     packaged = packaged_models()
     chosen = packaged if command.model is None else {"": packaged.get(command.model, Path(command.model))}
     described = {name: describe_model(path) for name, path in chosen.items()}
+    if command.reads and command.model is None:
+        described = {name: each for name, each in described.items() if set(each["inputs"]) <= {*command.reads}}
     if command.as_json:
         print_json(described.get("", described))
     elif command.model is None:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from cabinpose.app.cli.arguments import DatasetArgument, Maybe, RunsModels, SelectsFrames, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, several
+from cabinpose.app.cli.frames import FramesArgument, ReadsFrames, as_dataset
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
 from cabinpose.core import ConfigError, check_output
 
@@ -23,10 +24,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predict(RunsModels, SelectsFrames):
-    """Run a model over a dataset and write the joints that it finds as a predictions file, or its body parts as label images."""
+class Predict(RunsModels, SelectsFrames, ReadsFrames):
+    """Run a model over a dataset, or over frames that are none yet.
 
-    dataset: DatasetArgument
+    It writes the joints that it finds as a predictions file, or body parts as label images.
+    """
+
+    dataset: FramesArgument
     model: str
     """Name of a packaged model, an ONNX or .npz file, or a model on a server (grpc://HOST:PORT/MODEL)."""
     images: Annotated[tuple[str, ...], several("IMAGE [IMAGE ...]")] = ()
@@ -45,6 +49,17 @@ COMMAND = Predict
 
 def run(command: Predict) -> None:
     """Run the model over the frames in their order and write the predictions."""
+    from cabinpose.store import SUFFIX, check_new_class_images, check_new_predictions
+
+    check = check_new_class_images if command.out.suffix == SUFFIX else check_new_predictions
+    check_output(command.out, parents=False)
+    check(command.out, overwrite=command.overwrite)  # before the work, not at its end
+    with as_dataset(command.dataset, command) as folder:
+        _run(command, folder)
+
+
+def _run(command: Predict, folder: Path) -> None:
+    """folder: of the dataset of the frames."""
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.models import opened_models, tell_drive_side
     from cabinpose.core import Segmenter, unseen_words
@@ -52,8 +67,6 @@ def run(command: Predict) -> None:
     from cabinpose.store import (
         SUFFIX,
         Predictions,
-        check_new_class_images,
-        check_new_predictions,
         dataset_id,
         open_dataset,
         read_manifest,
@@ -61,12 +74,9 @@ def run(command: Predict) -> None:
     )
 
     of_parts = command.out.suffix == SUFFIX
-    check = check_new_class_images if of_parts else check_new_predictions
-    check_output(command.out, parents=False)
-    check(command.out, overwrite=command.overwrite)  # before the work, not at its end
-    dataset = selected(open_dataset(command.dataset), command)
-    name = dataset_id(read_manifest(command.dataset))
-    [model] = opened_models([command.model], dataset, command.joints_from, (name, command.dataset.resolve().name), command.images)
+    dataset = selected(open_dataset(folder), command)
+    name = dataset_id(read_manifest(folder))
+    [model] = opened_models([command.model], dataset, command.joints_from, (name, folder.resolve().name), command.images)
     tell_drive_side([model], command.drive_side)
     count, told = dataset.sizes["frame"], dict[str, Any]()
     if isinstance(model, Segmenter):
@@ -77,7 +87,7 @@ def run(command: Predict) -> None:
         raise ConfigError(f"{model_name(model)} finds joints", hint="let --out end in .jsonl or .parquet")
     else:
         places = [str(place) for place in dataset["person"].values]
-        if not set(places) & set(model.persons):
+        if folder == command.dataset and not set(places) & set(model.persons):
             print(
                 f"the model {model_name(model)} looks at {', '.join(model.persons)}, and the dataset has "
                 f"{printable(', '.join(places))}: `evaluate` cannot score what it finds",
@@ -97,7 +107,8 @@ def run(command: Predict) -> None:
         print_json({"predictions": str(command.out), "model": model_name(model), "frames": count} | told)
     else:
         print(command.out)
-        print(f"score it with: cabinpose evaluate {command.dataset} --predictions {command.out}", file=sys.stderr)
+        if folder == command.dataset:
+            print(f"score it with: cabinpose evaluate {command.dataset} --predictions {command.out}", file=sys.stderr)
 
 
 def _write_parts(command: Predict, dataset: xr.Dataset, model: Segmenter, name: str) -> None:

@@ -9,6 +9,7 @@ from .coco import FLAG as FLAG
 from .datasets import export_dataset as export_dataset
 from .datasets import open_source as open_source
 from .datasets import write_parts as write_parts
+from .depth_images import DEPTH_SUFFIXES as DEPTH_SUFFIXES
 from .format import FORMATS as FORMATS
 from .format import DatasetFormat as DatasetFormat
 from .format import Format as Format

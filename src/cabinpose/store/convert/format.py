@@ -40,10 +40,19 @@ class ImportOptions:
 
     intrinsics: tuple[float, float, float, float] | None = None
     """fx fy cx cy of the camera in px, in place of those of the source."""
+    camera: Path | None = None
+    """The same as a file: a calibration of OpenCV, ROS, Open3D or RealSense, or fx, fy, cx, cy by name, with distortion."""
+    fov_deg: float | None = None
+    """The same as a horizontal field of view, of a lens that is centred and does not distort."""
     licence: str | None = None
     """Licence of the data; default: that of the source."""
 
     def __post_init__(self) -> None:
+        flags = ("--intrinsics", self.intrinsics), ("--camera", self.camera), ("--fov-deg", self.fov_deg)
+        if len(told := [flag for flag, value in flags if value is not None]) > 1:
+            raise ConfigError(f"{' and '.join(told)} say the same", hint="give one of them")
+        if self.fov_deg is not None and not 0 < self.fov_deg < 180:
+            raise ConfigError(f"no field of view: {self.fov_deg}", hint="give degrees between 0 and 180, from edge to edge")
         given = self.intrinsics
         if given is not None and not (all(map(math.isfinite, given)) and given[0] > 0 and given[1] > 0):
             raise ConfigError(f"no intrinsics: {given}", hint="give fx, fy, cx and cy in px, fx and fy above 0")

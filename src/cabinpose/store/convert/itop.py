@@ -400,9 +400,10 @@ def _open(depth_path: Path, labels_path: Path, options: ItopImport) -> _Pair:
             )
         size = (data.shape[2], data.shape[1])
         valid = labels["is_valid"][...].astype(bool)
-        if options.intrinsics is None and "camera_k" not in depth and size != _SIZE:
+        if given_camera(options, size) is None and "camera_k" not in depth and size != _SIZE:
             raise DatasetError(
-                f"{depth_path}: the intrinsics of images of {size[0]}x{size[1]} are not known", hint="give them with --intrinsics"
+                f"{depth_path}: the intrinsics of images of {size[0]}x{size[1]} are not known",
+                hint="give them with --intrinsics or --camera",
             )
         if "image_coordinates" in labels:
             _check_axes(depth, labels, labels_path, np.flatnonzero(valid), size, options)

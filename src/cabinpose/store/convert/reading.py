@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from math import radians
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cabinpose import __version__
-from cabinpose.core import Camera, ConfigError, DatasetError, Visibility, check_camera
+from cabinpose.core import OCCUPANT_SLOTS, Camera, ConfigError, DatasetError, Visibility, check_camera
+from cabinpose.store.convert.camera_file import read_camera
 from cabinpose.store.convert.format import ImportOptions
 from cabinpose.store.schema import VARIABLE, Manifest
 from cabinpose.store.source import UNKNOWN
@@ -52,6 +54,10 @@ def _matches(name: str, pattern: str) -> bool:
 
 def given_camera(options: ImportOptions, size: tuple[int, int]) -> Camera | None:
     """The camera that the user gave, for images of a size (width, height)."""
+    if options.camera is not None:
+        return read_camera(options.camera, size)
+    if options.fov_deg is not None:
+        return check_camera(Camera.from_fov(*size, radians(options.fov_deg)), "--fov-deg")
     if options.intrinsics is None:
         return None
     return check_camera(Camera(*size, *options.intrinsics), "--intrinsics")
@@ -70,7 +76,7 @@ def make_manifest(
     *,
     frames: int,
     size: tuple[int, int],
-    persons: tuple[str, ...],
+    persons: tuple[str, ...] = OCCUPANT_SLOTS,
     variables: tuple[str, ...],
     licence: str = UNKNOWN,
     **values: Any,
@@ -83,8 +89,8 @@ def make_manifest(
         raise DatasetError(f"{path} has images of {size[0]}x{size[1]} pixels", hint="no camera has so many; is it damaged?")
     images = [each for each in variables if VARIABLE[each].is_image]
     config = {"format": name, "source": path.name} | values.pop("config", {})
-    if options.intrinsics is not None:
-        config["intrinsics_px"] = list(options.intrinsics)
+    if (camera := given_camera(options, size)) is not None:
+        config["intrinsics_px"] = [camera.fx, camera.fy, camera.cx, camera.cy]
     return Manifest(
         generator=f"import {name}",
         generator_version=__version__,
@@ -154,12 +160,17 @@ def check_projection(
         raise DatasetError(f"{path}: {what[0]} lie {np.nanmedian(apart):.0f} px from the projection of {what[1]}", hint=hint)
 
 
-def read_image(path: Path) -> NDArray[Any]:
-    """A PNG or JPEG as it stands: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB. Raises `DatasetError`."""
+def read_image(path: Path, *, floats: bool = False) -> NDArray[Any]:
+    """A PNG, JPEG or TIFF as it stands: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB. Raises `DatasetError`.
+
+    floats: those of a TIFF are kept, (H, W) float32; else they count as grey.
+    """
     try:
         with Image.open(path) as image:
             if (pixels := image.width * image.height) > min(_LARGEST_PX, _DENSEST * path.stat().st_size):
                 raise ValueError(f"it claims {pixels} pixels")  # before there is memory for them
+            if floats and image.mode == "F":
+                return np.asarray(image)
             if image.mode.startswith("I"):  # 16 bits
                 return np.asarray(image).astype(np.uint16)
             return np.asarray(image if image.mode == "L" else image.convert("RGB"))

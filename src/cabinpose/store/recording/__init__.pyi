@@ -14,6 +14,7 @@ from .scan import Damage as Damage
 from .schemas import SourceStatus as SourceStatus
 from .series import MarkerSeries as MarkerSeries
 from .series import SegmentSeries as SegmentSeries
+from .series import depth_ticks as depth_ticks
 from .series import marker_series as marker_series
 from .series import segment_series as segment_series
 from .series import tof_frames as tof_frames
