@@ -107,3 +107,27 @@ def test_what_a_library_makes_of_an_interrupt(kind: signal.Signals, becomes: typ
     assert raised == [becomes]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+_INTERRUPTED_IN_AN_IMPORT = """
+import importlib.abc, os, sys
+class Now(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, *_):
+        if name == "cabinpose.app.cli.output":
+            os.kill(os.getpid(), {kind})
+sys.meta_path.insert(0, Now())
+from cabinpose.__main__ import main
+sys.argv[1:] = ["--version"]
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(("kind", "code", "words"), [(signal.SIGINT, 130, "interrupted\n"), (signal.SIGTERM, 143, "ended\n")])
+def test_an_interrupt_while_the_program_is_loaded(kind: signal.Signals, code: int, words: str) -> None:
+    start = [sys.executable, "-c", _INTERRUPTED_IN_AN_IMPORT.format(kind=int(kind))]
+    done = subprocess.run(start, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", words)
+    ignoring = subprocess.run(
+        start, capture_output=True, text=True, check=True, preexec_fn=lambda: signal.signal(kind, signal.SIG_IGN)
+    )
+    assert ignoring.stderr == ""

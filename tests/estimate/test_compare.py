@@ -71,10 +71,8 @@ def test_every_method_of_joints_has_a_small_recipe() -> None:
     assert "yolo" in str(caught.value.hint)
 
 
-@pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def write_room(folder: Path) -> Path:
     """Eight frames of a sphere person with ITOP's joints, the last one far outside of the image."""
-    folder = tmp_path_factory.mktemp("compare") / "room"
     unused = ("amplitude", "confidence", "depth_clean", "instance", "labels")
     manifest = sphere_people.manifest(
         frames=8,
@@ -91,6 +89,11 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
             joints[:, 14] += (5, 0, 0)
             part.append(made | {"itop_joints_3d": joints, "subject": [f"S{index % 4}"]})
     return folder
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_room(tmp_path_factory.mktemp("compare") / "room")
 
 
 def real(folder: Path) -> tuple[Path, Path]:

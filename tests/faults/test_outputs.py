@@ -5,12 +5,16 @@ from __future__ import annotations
 import outputs
 import pytest
 
-LONG = ("train", "lab", "export-onnx", "calibrate-confidence", "car-init", "calibrate", "align")  # seconds each time
+LONG = {  # seconds each time
+    "train, lab": ("train", "lab", "export-onnx", "calibrate-confidence", "car-init", "calibrate", "align"),
+    "car, style, experiment, mocap": ("car-check", "train-style", "experiment", "evaluate-mocap"),
+}
+REST = tuple(name for name in outputs.COMMANDS if not any(name in names for names in LONG.values()))
 
 
 @pytest.mark.slow
 @pytest.mark.faults
-@pytest.mark.parametrize(("names", "most"), [(tuple(n for n in outputs.COMMANDS if n not in LONG), 3), (LONG, 2)])
+@pytest.mark.parametrize(("names", "most"), [(REST, 3), *((names, 2) for names in LONG.values())], ids=["the rest", *LONG])
 def test_outputs_are_whole_or_absent(names: tuple[str, ...], most: int) -> None:
     done = outputs.preloaded(["--most", str(most), *names])
     assert done.returncode == 0, done.stdout + done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -207,4 +208,19 @@ def test_a_disk_that_is_too_small_is_told_of_the_folder_that_was_asked_for(
     monkeypatch.setattr("cabinpose.store.dataset.shutil.disk_usage", lambda _: SimpleNamespace(free=10))
     with pytest.raises(DatasetError, match=f"frames need about .*, {tmp_path / 'out'} has"):
         import_source(open_source(png_json, "png-json"), tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("writes", "named"), [("store.part.sync", ""), ("core.whole._fill", "/dataset.yaml")])
+def test_a_disk_that_is_full_is_told_of_the_folder_that_was_asked_for(
+    writes: str, named: str, png_json: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise OSError(errno.ENOSPC, "no space", str(path))
+
+    monkeypatch.setattr(f"cabinpose.{writes}", full)
+    with pytest.raises(DatasetError) as error:
+        import_source(open_source(png_json, "png-json"), tmp_path / "out")
+    assert str(error.value) == f"no space left while writing {tmp_path / 'out'}{named}"
+    assert error.value.hint == "free some disk space, then run the same command again"  # and not: with --resume
     assert not list(tmp_path.iterdir())

@@ -7,6 +7,7 @@ import json
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from cabinpose.app.studio.workspace import Workspace, open_workspace
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE
-from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store import create_dataset, open_dataset, read_manifest
 from cabinpose.store.predictions import Predictions, empty_batch
 from cabinpose.store.schema import DEPTH_SCALE_M, MANIFEST_NAME, manifest_yaml, with_checksum_line
 
@@ -299,25 +300,31 @@ def test_undo_says_what_another_window_has_set(workspace: Workspace) -> None:
     used(workspace, steps)
 
 
-def test_inputs_are_done_once_and_in_order_or_told(workspace: Workspace) -> None:
-    """What windows send: keys, the same request again, what was meant for an image before, and what cannot be kept."""
+def label_canvas(user: User) -> FrameCanvas:
+    (canvas,) = (c for c in user.find(kind=FrameCanvas).elements if c.props["inputs"])
+    return canvas
+
+
+async def asked(canvas: FrameCanvas, keys: str, first: int, *, window: str = "one", **values: Any) -> dict[str, Any]:
+    """What a window is answered, with the status, when it sends keys over the image that is shown, numbered from `first`."""
     server = FastAPI()
     server.include_router(input_routes())
+    shown = {"event": "key", "url": canvas.props["url"]}
+    inputs = [shown | {"n": first + i, "key": key} | values for i, key in enumerate(keys)]
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(server), base_url="http://127.0.0.1") as http:
+        answer = await http.post(canvas.props["inputs"], json={"window": window, "inputs": inputs})
+    told: dict[str, Any] = answer.json() | {"code": answer.status_code}
+    return told
+
+
+def test_inputs_are_done_once_and_in_order_or_told(workspace: Workspace) -> None:
+    """What windows send: keys, the same request again, what was meant for an image before, and what cannot be kept."""
 
     async def steps(user: User) -> None:
         user.find("Label").click()
         await user.should_see("0 of 6 frames done")
-        (canvas,) = (c for c in user.find(kind=FrameCanvas).elements if c.props["inputs"])
-        begun = canvas.props["url"]
-        journal = workspace.labels.path
-
-        async def ask(keys: str, first: int, window: str = "one", url: str = begun, **values: Any) -> dict[str, Any]:
-            inputs = [{"n": first + i, "event": "key", "url": url, "key": key} | values for i, key in enumerate(keys)]
-            transport = httpx.ASGITransport(server)
-            async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as http:
-                answer = await http.post(canvas.props["inputs"], json={"window": window, "inputs": inputs})
-            told: dict[str, Any] = answer.json() | {"code": answer.status_code}
-            return told
+        canvas, journal = label_canvas(user), workspace.labels.path
+        ask = partial(asked, canvas)
 
         def states() -> list[tuple[str, int]]:
             return [(change["joint"], change["visibility"]) for change in map(json.loads, journal.read_text().splitlines()[1:])]
@@ -327,7 +334,7 @@ def test_inputs_are_done_once_and_in_order_or_told(workspace: Workspace) -> None
         assert await ask("vh", 1) == done | {"taken": 2}
         assert await ask("vho", 1) == done | {"taken": 3}  # an answer was lost: two of these are done already
         assert states() == [(first, Visibility.VISIBLE), (second, Visibility.OCCLUDED), (third, Visibility.OUTSIDE_IMAGE)]
-        assert await ask("z", 1, "two") == done | {"taken": 1}  # another window counts for itself
+        assert await ask("z", 1, window="two") == done | {"taken": 1}  # another window counts for itself
         assert len(states()) == 4
         assert await ask("vv", 4, url="/frames/before") == done | {"taken": 5, "missed": 2}
         place = {"event": "place", "u": 30.0, "v": 40.0}
@@ -343,6 +350,25 @@ def test_inputs_are_done_once_and_in_order_or_told(workspace: Workspace) -> None
         assert not journal.exists()
         canvas.delete()
         assert (await ask("v", 9))["code"] == 404
+
+    used(workspace, steps)
+
+
+def test_inputs_over_a_dataset_that_was_replaced_are_refused(workspace: Workspace, dataset_folder: Path) -> None:
+    async def steps(user: User) -> None:
+        user.find("Label").click()
+        await user.should_see("0 of 6 frames done")
+        canvas, journal = label_canvas(user), workspace.labels.path
+        assert (await asked(canvas, "v", 1))["refused"] == 0
+        lines = journal.read_text()
+        other = read_manifest(dataset_folder).model_copy(update={"seed": 4})
+        create_dataset(dataset_folder, other, overwrite=True).close()  # as `synth --overwrite` begins
+        why = f"{dataset_folder} is another dataset now (end the studio and open it again)"
+        refused = {"code": 200, "taken": 3, "missed": 0, "refused": 2, "why": why}
+        assert await asked(canvas, "vz", 2) == refused
+        assert journal.read_text() == lines
+        await user.should_see(f"Nothing more is taken: {why}")
+        assert not canvas.props["editable"]
 
     used(workspace, steps)
 

@@ -41,14 +41,17 @@ def unwritable(path: Path, error: OSError, kind: type[CabinposeError] = OutputEr
 
 
 @contextmanager
-def output_errors(path: Path, kind: type[CabinposeError] = OutputError) -> Iterator[None]:
-    """Turn what the system refuses in writing `path` into an error that says so; one of reading another file stays."""
+def output_errors(path: Path, kind: type[CabinposeError] = OutputError, *, told: Path | None = None) -> Iterator[None]:
+    """Turn what the system refuses in writing `path` into an error that says so; one of reading another file stays.
+
+    told: the name in the error, where `path` is in a folder that takes its place when it is whole.
+    """
     try:
         yield
     except OSError as error:
         if error.errno not in FULL_DISK and not (error.errno in _REFUSED and _is_of(error, path)):
             raise
-        raise unwritable(path, error, kind) from error
+        raise unwritable(told or path, error, kind) from error
 
 
 def is_refused(error: OSError) -> bool:
@@ -120,7 +123,7 @@ def _try(folder: Path) -> None:
 
 
 @contextmanager
-def whole_file(path: Path, *, kind: type[CabinposeError] = OutputError) -> Iterator[Path]:
+def whole_file(path: Path, *, kind: type[CabinposeError] = OutputError, told: Path | None = None) -> Iterator[Path]:
     """The name of a file to make, which takes the place of `path` when the block ends without an error, else is removed.
 
     Parameters
@@ -129,9 +132,11 @@ def whole_file(path: Path, *, kind: type[CabinposeError] = OutputError) -> Itera
         The file, in a folder that exists. Where it is a link, what the link leads to.
     kind
         The error for an output that cannot be written, or that another process writes.
+    told
+        The name in that error, as in `output_errors`.
     """
     real = _real(path)
-    with output_errors(path, kind), _staged(path, real, kind) as stage:
+    with output_errors(path, kind, told=told), _staged(told or path, real, kind) as stage:
         new = stage / (path.name if path.name != _OLD else _NEW)  # with its suffix, which some libraries ask for
         yield new
         _sync(new)
@@ -171,9 +176,9 @@ def make_folder(path: Path, kind: type[CabinposeError] = OutputError) -> None:
         _real(path).mkdir(parents=True, exist_ok=True)
 
 
-def write_whole(path: Path, content: str | bytes, *, kind: type[CabinposeError] = OutputError) -> None:
-    """Write a text, as UTF-8, or bytes; the file takes its name when it is whole."""
-    with whole_file(path, kind=kind) as partial:
+def write_whole(path: Path, content: str | bytes, *, kind: type[CabinposeError] = OutputError, told: Path | None = None) -> None:
+    """Write a text, as UTF-8, or bytes; the file takes its name when it is whole. told: as in `output_errors`."""
+    with whole_file(path, kind=kind, told=told) as partial:
         _fill(partial, content)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import DatasetError, lock, output_errors, refuse_other_writer, write_whole
+from cabinpose.core import DatasetError, lock, refuse_other_writer, write_whole
 from cabinpose.store.part import temporary_parts
 from cabinpose.store.part_facts import check_parts
 from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, PartPlans, manifest_yaml, read_manifest, with_checksum_line
@@ -58,7 +58,9 @@ class DatasetWriter:
         self.close(failed=kind is not None)
 
 
-def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = False, resume: bool = False) -> DatasetWriter:
+def create_dataset(
+    folder: Path | str, manifest: Manifest, *, overwrite: bool = False, resume: bool = False, told: Path | None = None
+) -> DatasetWriter:
     """Make a dataset folder, or go on with one, ready for `PartWriter`s.
 
     Parameters
@@ -71,6 +73,8 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
         Delete the parts of the dataset that is there.
     resume
         Keep the complete parts of a dataset with the same manifest, which may ask for more frames.
+    told
+        The name in messages, where `folder` takes its place when the dataset is whole.
 
     Returns
     -------
@@ -92,15 +96,16 @@ def create_dataset(folder: Path | str, manifest: Manifest, *, overwrite: bool = 
         refuse_other_writer(path, DatasetError)
         held = lock(path, path, DatasetError)
     except OSError as error:
-        raise DatasetError(f"cannot use {path} as a folder: {error.strerror}", hint="give another output folder") from error
+        name = told or path
+        raise DatasetError(f"cannot use {name} as a folder: {error.strerror}", hint="give another output folder") from error
     try:
         _prepare(path, manifest, overwrite=overwrite, resume=resume)
         new = not (path / MANIFEST_NAME).exists()
         writer = DatasetWriter(path, manifest, held, new=new, made=made)
         check_parts(path, writer.complete(), manifest)
-        _check_space(writer)
-        with output_errors(path, DatasetError):
-            _write_manifest(path, manifest)
+        _check_space(writer, told or path)
+        text = with_checksum_line(manifest_yaml(manifest))
+        write_whole(path / MANIFEST_NAME, text, kind=DatasetError, told=None if told is None else told / MANIFEST_NAME)
     except BaseException:
         os.close(held)
         if made and not any(path.iterdir()):
@@ -161,7 +166,7 @@ def _flat(value: Any, path: str = "") -> dict[str, Any]:
     return {path: value}
 
 
-def _check_space(writer: DatasetWriter) -> None:
+def _check_space(writer: DatasetWriter, told: Path) -> None:
     """Compare the frames still to come, at a cautious rate of compression, with what the disk has."""
     frames = writer.missing().frames
     need = frames * round(frame_bytes(writer.manifest) * _COMPRESSION)
@@ -170,7 +175,7 @@ def _check_space(writer: DatasetWriter) -> None:
         days = frames / _FRAMES_A_DAY
         long = "" if days < 1 else f" (and take {days:,.0f} days at 100 frames/s)"
         raise DatasetError(
-            f"{frames} frames need about {need / 1e9:,.1f} GB{long}, {writer.folder} has {free / 1e9:,.1f} GB left",
+            f"{frames} frames need about {need / 1e9:,.1f} GB{long}, {told} has {free / 1e9:,.1f} GB left",
             hint="free some disk space, ask for fewer frames or give a folder on another disk with --out",
         )
 
@@ -184,7 +189,3 @@ def frame_bytes(manifest: Manifest) -> int:
             items *= size
         total += items * (16 if variable.dtype == "str" else np.dtype(variable.dtype).itemsize)
     return total
-
-
-def _write_manifest(path: Path, manifest: Manifest) -> None:
-    write_whole(path / MANIFEST_NAME, with_checksum_line(manifest_yaml(manifest)), kind=DatasetError)

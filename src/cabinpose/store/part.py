@@ -35,13 +35,13 @@ def temporary_parts(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def _part_errors(folder: Path) -> Iterator[None]:
-    """Turn what the system refuses into a `DatasetError`; after a full disk or a quota it says how to go on."""
+def _part_errors(folder: Path, told: Path | None) -> Iterator[None]:
+    """Turn what the system refuses into a `DatasetError`; after a full disk or a quota it says how to go on, if one can."""
     try:
-        with output_errors(folder, DatasetError):
+        with output_errors(folder, DatasetError, told=told):
             yield
     except DatasetError as error:
-        if isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL_DISK:
+        if told is None and isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL_DISK:
             error.hint = "free some disk space, then run the same command again with --resume; complete parts are kept"
         raise
 
@@ -94,15 +94,18 @@ class PartWriter:
 
     An exception inside the block removes everything that was written. `attrs` may be filled with plain data about
     the part as a whole (`proposals`, `rejections`). after: the checksum of the part before it, where the manifest does not
-    decide what the frames are; `checksum` is this part's, once it is whole.
+    decide what the frames are; `checksum` is this part's, once it is whole. told: as of `create_dataset`.
     """
 
-    def __init__(self, folder: Path | str, plan: PartPlan, manifest: Manifest, *, after: str | None = None) -> None:
+    def __init__(
+        self, folder: Path | str, plan: PartPlan, manifest: Manifest, *, after: str | None = None, told: Path | None = None
+    ) -> None:
         self.folder = Path(folder)
         self.plan = plan
         self.attrs: dict[str, Any] = {}
         self.checksum: str | None = None
         self._after = after
+        self._told = told
         self._manifest = manifest
         self._temporary = self.folder / f".{plan.name}.{os.getpid()}-{next(_serial)}{_SUFFIX}"
         self._images = {
@@ -113,7 +116,7 @@ class PartWriter:
         self._skipped: list[int] = []
 
     def __enter__(self) -> PartWriter:
-        with _part_errors(self.folder):
+        with _part_errors(self.folder, self._told):
             self._temporary.mkdir()
         return self
 
@@ -129,7 +132,7 @@ class PartWriter:
     def append_encoded(self, frame: EncodedFrame) -> None:
         """Add the next frame as `encode_frame` gives it. Raises `DatasetError` for one frame too many."""
         self._expect_another()
-        with _part_errors(self.folder):
+        with _part_errors(self.folder, self._told):
             for name, chunk in frame.images.items():
                 self._images[name].append(chunk)
         for name, value in frame.values.items():
@@ -144,7 +147,7 @@ class PartWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
             if kind is None:
-                with _part_errors(self.folder):
+                with _part_errors(self.folder, self._told):
                     self._commit()
         finally:
             for image in self._images.values():

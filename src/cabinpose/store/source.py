@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import DatasetError, known_camera, output_errors, stage_of, unwritable, whole_folder
+from cabinpose.core import DatasetError, known_camera, output_errors, whole_folder
 from cabinpose.store.dataset import create_dataset
 from cabinpose.store.part import PartWriter
 from cabinpose.store.schema import MANIFEST_NAME, Manifest
@@ -81,26 +81,18 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
     check_new_dataset(folder, overwrite=overwrite)
     if source.path.resolve().is_relative_to(folder.resolve()):
         raise DatasetError(f"{folder} holds the source, {source.path}", hint="give another folder with --out")
-    try:
-        with new_folder(folder, overwrite=overwrite) as temporary:
-            _fill(source, temporary, report)
-    except DatasetError as error:
-        hidden = str(stage_of(folder.resolve()) / "new")
-        if hidden not in str(error):
-            raise
-        if isinstance(error.__cause__, OSError):  # the hint is how synth goes on
-            raise unwritable(folder, error.__cause__, DatasetError) from error.__cause__
-        raise DatasetError(str(error).replace(hidden, str(folder)), hint=error.hint) from error
+    with new_folder(folder, overwrite=overwrite) as temporary:
+        _fill(source, temporary, folder, report)
     return folder
 
 
-def _fill(source: Source, folder: Path, report: Report | None) -> None:
-    """Write the frames of a source into a new folder."""
+def _fill(source: Source, folder: Path, told: Path, report: Report | None) -> None:
+    """Write the frames of a source into a new folder, `told` in messages."""
     manifest, frames, done = source.manifest, source.frames(), 0
     last: str | None = None  # two imports may have one manifest: each part names the one before it, too
-    with create_dataset(folder, manifest):
+    with create_dataset(folder, manifest, told=told):
         for plan in manifest.parts:
-            with PartWriter(folder, plan, manifest, after=last) as part:
+            with PartWriter(folder, plan, manifest, after=last, told=told) as part:
                 for _ in range(plan.frames):
                     frame = next(frames, None)
                     if frame is None:
