@@ -69,6 +69,26 @@ def test_a_run_learns_from_several_datasets(data: Path, tmp_path: Path, capsys: 
     assert "a dataset is named twice" in capsys.readouterr().err
 
 
+def test_labels_are_looked_at_before_anything_is_learnt(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A split that nobody belongs to ends the runs once the labels were looked at."""
+    right = sphere_people.frame
+    monkeypatch.setattr(sphere_people, "frame", lambda i, m: right(i, m) | {"joints_2d": right(i, m)["joints_2d"] / 64})
+    wrong = sphere_people.write(tmp_path / "wrong", sphere_people.manifest(frames=4))
+    splits = tmp_path / "splits.yaml"
+    splits.write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S09]}\n")
+    arguments = ("--method", "compact", "--splits", str(splits), "--out", str(tmp_path / "run"))
+    said = f"warning: {wrong}: joints_2d is from "
+    assert run("train", str(data), *arguments) == 2
+    assert "warning" not in capsys.readouterr().err
+    assert run("train", str(data), str(wrong), *arguments) == 2
+    assert capsys.readouterr().err.count(said) == 1
+    monkeypatch.setenv("LOCAL_RANK", "1")  # a process that helps another one
+    assert run("train", str(wrong), *arguments) == 2
+    assert said not in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_of_several_processes_one_speaks(data: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"

@@ -87,7 +87,7 @@ def run(command: ImportDataset | ImportRecording | ImportLabels) -> None:
 
 
 def _import_dataset(command: ImportDataset) -> None:
-    from cabinpose.store import check_new_dataset, import_source, label_warnings, open_dataset
+    from cabinpose.store import check_new_dataset, import_source, open_dataset, warn_of_labels
     from cabinpose.store.convert import open_source
 
     if command.out.suffix == ".mcap":
@@ -107,8 +107,7 @@ def _import_dataset(command: ImportDataset) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what opening doubts was said while it was imported
         made = open_dataset(folder, missing="ignore")
-    for doubt in label_warnings(made):
-        warnings.warn(f"{folder}: {doubt}", stacklevel=2)
+    warn_of_labels(made, str(folder))
     if command.as_json:
         variables = list(source.manifest.variables)
         print_json({"out": str(folder), "format": command.format, "frames": frames, "variables": variables})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,7 +56,7 @@ def run(command: Info) -> None:
 def _print_dataset(command: Info) -> None:
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.view.summary import summarise
-    from cabinpose.store import label_warnings, open_dataset, read_manifest
+    from cabinpose.store import open_dataset, read_manifest, warn_of_labels
 
     manifest = read_manifest(command.dataset)
     dataset = open_dataset(command.dataset, missing="ignore")
@@ -68,8 +67,7 @@ def _print_dataset(command: Info) -> None:
             for i in range(count):
                 chosen.isel(frame=i).load()
                 report(i + 1)
-    for doubt in label_warnings(chosen):
-        warnings.warn(f"{command.dataset}: {doubt}", stacklevel=2)
+    warn_of_labels(chosen, str(command.dataset))
     summary = summarise(dataset, manifest, command.dataset, chosen)
     unchecked, unbound = dataset.attrs["parts_without_checksum"], dataset.attrs["parts_without_dataset"]
     if command.as_json:

@@ -91,7 +91,7 @@ def run(command: Train) -> None:
         config = read_train_config(command.config, command.method)
         unit = "steps" if isinstance(METHODS[config.method], ArrayMethod) else "batches"
         report.phase("opening datasets")
-        training, validation = _frames(command, frame_spec(config), config.seed)
+        training, validation = _frames(command, frame_spec(config), config.seed, helps=helps)
         draw = partial(write_curves, command.out / "curves.png")
         devices = int(command.devices) if command.devices.isdigit() else command.devices
         best = fit(
@@ -110,10 +110,10 @@ def run(command: Train) -> None:
         print(f"export it with: cabinpose export onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
 
 
-def _frames(command: Train, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]:
-    """Training and validation frames, stored or generated."""
+def _frames(command: Train, spec: FrameSpec, seed: int, *, helps: bool) -> tuple[Frames, Frames]:
+    """Training and validation frames, stored or generated; warns of labels that are hardly right, unless it only helps."""
     from cabinpose.app.training import generated_frames, stored_frames
-    from cabinpose.store import open_dataset
+    from cabinpose.store import open_dataset, warn_of_labels
     from cabinpose.synth import SynthConfig
 
     if command.synth is not None:
@@ -123,4 +123,7 @@ def _frames(command: Train, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]
     datasets = {str(folder): open_dataset(folder) for folder in command.datasets}
     if len(datasets) < len(command.datasets):
         raise ConfigError("a dataset is named twice", hint="give each of them once")
+    if not helps:
+        for name, dataset in datasets.items():
+            warn_of_labels(dataset, name)
     return stored_frames(datasets, spec, command.splits, command.train, command.validate)
