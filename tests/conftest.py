@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import invalidate_caches
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,21 @@ from cabinpose.app.cli import main
 from cabinpose.core import registry
 
 REAL_DATA = "CABINPOSE_REAL_DATA"
+
+# Workers fill the cores: threads of a library beside them only wait, and torch's and OpenBLAS's burn a core while they do.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_threads, "1")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What is collected stays until the end: the garbage collector need not walk through it, while it grows or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture
@@ -61,7 +77,8 @@ def extension(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
     def forget() -> None:
         """Nothing that was loaded under a name outlives the package that offered it, nor hides one that is installed now."""
         invalidate_caches()
-        for one in gc.get_objects():
+        modules = [vars(module) for name, module in sys.modules.items() if name.startswith("cabinpose.")]
+        for one in (*chain.from_iterable(names.values() for names in modules), *gc.get_objects()):  # the frozen, the others
             if type(one) is registry.Registry:
                 one._loaded.clear()
         registry._installed.cache_clear()

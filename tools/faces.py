@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,6 +67,7 @@ def _row(face: str, name: str, constant: Constant) -> str:
     return f'| <span id="{face}.{name}">`{name}`</span> | {value} | {constant.comment} |'
 
 
+@cache
 def constants(text: str) -> dict[str, Constant]:
     """The names of a module to which it assigns something at its top level.
 
@@ -106,6 +108,7 @@ def _comment(lines: list[str], first: int, last: int) -> str:
     return " ".join(before)
 
 
+@cache
 def _docstring(text: str) -> str:
     """The first paragraph of a module's docstring."""
     told = ast.get_docstring(ast.parse(text)) or ""
