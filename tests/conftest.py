@@ -18,7 +18,8 @@ from cabinpose.core import registry
 
 REAL_DATA = "CABINPOSE_REAL_DATA"
 
-# Workers fill the cores: threads of a library beside them only wait, and torch's and OpenBLAS's burn a core while they do.
+# Workers of pytest fill the cores: a library's threads beside them only wait, and those of torch and OpenBLAS burn a core
+# while they do. Libraries read this once, when they are loaded.
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
@@ -32,6 +33,14 @@ def pytest_collection() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread() -> Iterator[None]:
+    """The same for what asks for as many threads as there are cores, ONNX Runtime's among them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "cpu_count", lambda: 1)
+        yield
 
 
 @pytest.fixture

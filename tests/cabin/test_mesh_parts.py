@@ -119,8 +119,14 @@ def test_missing_triangles_are_told(names: tuple[str, ...], how: str, words: str
     assert all(re.search(words, warning) for warning in warnings)
 
 
-@pytest.mark.parametrize("fused", [False, True], ids=["parts", "fused"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(
+    ("name", "fused"),
+    [
+        pytest.param(name, fused, marks=[pytest.mark.slow] if fused and name != "van" else [])
+        for name in PRESETS
+        for fused in (False, True)
+    ],
+)
 def test_whole_cars_give_no_warning_and_views_are_free(name: str, fused: bool, tmp_path: Path) -> None:
     cabin = build_cabin(name)
     write_car(cabin, tmp_path / "car.glb", fused=fused)

@@ -82,7 +82,7 @@ def test_long_names_and_links_that_lead_nowhere(verb: str, dataset_folder: Path,
     assert (folder / "target").exists()
 
 
-@pytest.mark.parametrize("verb", ["models --json", "--version", "config schema"])
+@pytest.mark.parametrize("verb", [pytest.param("models --json", marks=pytest.mark.slow), "--version", "config schema"])
 def test_a_standard_output_that_is_full_or_closed(verb: str) -> None:
     start = [sys.executable, "-m", "cabinpose", *verb.split()]
     with Path("/dev/full").open("w") as full:

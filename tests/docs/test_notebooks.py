@@ -12,7 +12,6 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
-QUICK = {"1-generate"}  # those that take less than ten seconds
 LARGEST_BYTES = 16_000
 SECONDS = 300  # a cell
 
@@ -25,7 +24,6 @@ def not_clean(notebook: Any) -> list[str]:
 
 def test_there_are_notebooks() -> None:
     assert [path.stem[0] for path in NOTEBOOKS] == list("123456")
-    assert {path.stem for path in NOTEBOOKS} >= QUICK
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -44,9 +42,8 @@ def test_what_a_run_leaves_is_seen() -> None:
     assert not_clean({"cells": [cell | {"outputs": [{"output_type": "stream"}]}]}) == ["a"]
 
 
-@pytest.mark.parametrize(
-    "path", [pytest.param(p, id=p.stem, marks=[] if p.stem in QUICK else pytest.mark.slow) for p in NOTEBOOKS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
     nbclient.NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()

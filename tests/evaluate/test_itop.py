@@ -54,6 +54,7 @@ def test_a2j_scores_as_published(real_data: RealData) -> None:
     assert report.value("jitter") is None or report.value("jitter").samples == 0  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_the_floor(real_data: RealData) -> None:
     """The mean pose placed at the true torso: what a method gets for knowing where the person is."""
