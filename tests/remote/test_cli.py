@@ -50,7 +50,9 @@ def test_serve_answers_what_predict_finds(process: Callable[..., Any], run: Run,
     assert "answered, 0 refused" in server.stderr.read()
 
 
-@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize(
+    "kind", [signal.SIGTERM, *(pytest.param(kind, marks=pytest.mark.slow) for kind in (signal.SIGHUP, signal.SIGINT))]
+)
 def test_what_ends_a_server_answers_the_calls_under_way(process: Callable[..., Any], kind: signal.Signals) -> None:
     server = process("-m", "cabinpose", "serve", "--model", "room", "--port", "0")
     address = server.stdout.readline().strip()
