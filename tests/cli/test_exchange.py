@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from adtfdat_file import write_imu
-from mvnx_file import write_mvnx
+from mvnx_file import moving_person, write_mvnx
 from opensim_text import ZUP_FROM_YUP, read_sto, read_trc
 from rosbag_file import bag, take
 from scipy.spatial.transform import Rotation
@@ -34,13 +34,13 @@ BEGAN = 1_700_000_000_000_000_000
 def motion(frames: int = 12, subject: str = "S07") -> Rows:
     """A suit's frames at 60 Hz, as MVNX holds them."""
     rng = np.random.default_rng(1)
+    person = moving_person(frames)
     rows: Rows = [(BEGAN, 0, Facts(subject, {"frame_rate_hz": 60.0}))]
     for i in range(frames):
         at = round(i * 1e9 / 60)
         host = BEGAN + round(at / 1e6) * 1_000_000  # the file has milliseconds
-        turn = Rotation.random(23, rng=rng).as_quat(scalar_first=True, canonical=True)
         angles = JointAngles(subject, tuple(name for name, _, _ in MVN_JOINTS), rng.normal(size=(22, 3)) * 0.1)
-        poses = SegmentPoses(subject, MVN_SEGMENTS, rng.normal(size=(23, 3)), turn)
+        poses = SegmentPoses(subject, MVN_SEGMENTS, *person[i])
         contacts = Channels((f"{subject}.foot_contact.left", f"{subject}.foot_contact.right"), np.array([i % 2.0, 1.0]))
         rows += [(host, at, message) for message in (poses, angles, contacts)]
     return rows
@@ -51,11 +51,14 @@ def markers(frames: int = 12) -> Rows:
     rng = np.random.default_rng(2)
     rows: Rows = [(0, 0, Facts("points", {"rate_hz": 100.0}))]
     for i in range(frames):
-        place = rng.normal(size=(3, 3)).astype(np.float32).astype(np.float64)
+        place = (HIPS_AND_NECK_M + rng.normal(size=(3, 3)) / 100).astype(np.float32).astype(np.float64)
         place[i % 3] = np.nan if i % 4 == 0 else place[i % 3]
         residual = np.where(np.isnan(place[:, 0]), np.nan, 0.00025)
         rows.append((i * 10_000_000, i * 10_000_000, Markers("S07", ("LASI", "RASI", "C7"), place, residual)))
     return rows
+
+
+HIPS_AND_NECK_M = np.array([[0.1, 0.12, 0.95], [0.1, -0.12, 0.95], [-0.05, 0.0, 1.45]])
 
 
 def of(kind: type, rows: Rows) -> Rows:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import cabinpose
 from cabinpose.estimate import JointPredictor, load_model
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "store"))  # files of other tools
 
 
 @pytest.fixture(scope="session")

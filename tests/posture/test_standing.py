@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cabinpose.core import CMU_UNIT_M
 from cabinpose.core.errors import MocapError
 from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.contact import ContactField
-from cabinpose.store.convert.bvh import CMU_UNIT_M
 from cabinpose.store.convert.clip import read_clip
 from cabinpose.synth.posture import Prescribed, SeatContext, choose_setting, sample_pose
 from cabinpose.synth.posture.retarget import retarget

@@ -9,6 +9,7 @@ from typing import IO, Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cabinpose.core.skeleton import MVN_JOINTS, MVN_SEGMENTS
 from cabinpose.signals.recorded import (
@@ -23,6 +24,41 @@ from cabinpose.signals.recorded import (
 )
 from cabinpose.store.convert.mvnx import CENTRE, GRAVITY, turned
 from cabinpose.store.convert.rows import Row
+
+# Where joints lie in the segment that they hang on, of a person of 1.75 m: x to the front, y to the left, z up; m.
+_LEFT = {
+    "LeftShoulder": (0.0, 0.03, 0.10), "LeftUpperArm": (0.0, 0.16, 0.0), "LeftForearm": (0.0, 0.32, 0.0),
+    "LeftHand": (0.0, 0.26, 0.0), "LeftUpperLeg": (0.0, 0.09, 0.0), "LeftLowerLeg": (0.0, 0.0, -0.43),
+    "LeftFoot": (0.0, 0.0, -0.43), "LeftToe": (0.16, 0.0, -0.06),
+}  # fmt: skip
+PERSON_M = _LEFT | {name.replace("Left", "Right"): (x, -y, z) for name, (x, y, z) in _LEFT.items()}
+PERSON_M |= {"L5": (0.0, 0.0, 0.1), "L3": (0.0, 0.0, 0.1), "T12": (0.0, 0.0, 0.1), "T8": (0.0, 0.0, 0.1)}
+PERSON_M |= {"Neck": (0.0, 0.0, 0.14), "Head": (0.0, 0.0, 0.1)}
+
+
+def moving_person(frames: int, rate_hz: float = 60.0, swing_rad: float = 0.3) -> list[tuple[F64, F64]]:
+    """Positions (23, 3) m and orientations (23, 4) wxyz of MVN's segments of a person whose joints all swing, each in its own way,
+    and who turns once in 6 s: forward kinematics.
+    """
+    rng = np.random.default_rng(1)
+    axes, phases = rng.normal(size=(23, 3)), rng.uniform(0, 2 * np.pi, 23)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    parents = {child: parent for _, parent, child in MVN_JOINTS}
+    result = []
+    for i in range(frames):
+        at = i / rate_hz
+        swing = Rotation.from_rotvec(axes * swing_rad * np.sin(2 * np.pi * at + phases)[:, None])
+        turn = {"Pelvis": Rotation.from_euler("z", 60 * at, degrees=True) * swing[0]}
+        place = {"Pelvis": np.array([0.2 * at, 0.0, 0.93])}
+        while len(turn) < len(MVN_SEGMENTS):
+            for k, name in enumerate(MVN_SEGMENTS):
+                if name not in turn and parents[name] in turn:
+                    place[name] = place[parents[name]] + turn[parents[name]].apply(PERSON_M[name])
+                    turn[name] = turn[parents[name]] * swing[k]
+        wxyz = np.stack([turn[name].as_quat(scalar_first=True, canonical=True) for name in MVN_SEGMENTS])
+        result.append((np.stack([place[name] for name in MVN_SEGMENTS]), wxyz))
+    return result
+
 
 THEIRS = {name: name.replace("Forearm", "ForeArm") for name in MVN_SEGMENTS}
 _NAMESPACE = "http://www.xsens.com/mvn/mvnx"

@@ -35,7 +35,7 @@ def take(tmp_path: Path) -> Path:
             frame = ToFFrame(depth, 0.00025, amplitude, np.zeros((0, 0), np.uint8), k_, np.arange(5) / 10, np.arange(5) / 10)
             q = rng.normal(size=(3, 4))
             q /= np.linalg.norm(q, axis=1, keepdims=True)
-            p = rng.normal(size=(3, 3))
+            p = np.eye(3) + rng.normal(size=(3, 3)) / 100
             q[2], p[2] = (np.nan, np.nan) if k == 3 else (q[2], p[2])
             suit, head = SegmentPoses("S01", NAMES, p[:2], q[:2]), SegmentPoses("head", ("head",), p[2:], q[2:])
             for n, (source, message) in enumerate((("tof", frame), ("suit", suit), ("optical", head))):

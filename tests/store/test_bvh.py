@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cabinpose.core import CMU_UNIT_M
 from cabinpose.core.errors import MocapError, RecordingError
 from cabinpose.signals.recorded import Facts, SegmentPoses
-from cabinpose.store.convert.bvh import CMU_UNIT_M, read_bvh, read_bvh_rows
+from cabinpose.store.convert.bvh import read_bvh, read_bvh_rows
 from cabinpose.store.convert.bvh_write import write_bvh
 from cabinpose.store.convert.clip import read_clip
 from cabinpose.store.convert.mvnx import read_mvnx
@@ -173,7 +174,7 @@ def poses(rows: list[Row]) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
 def test_rows_are_the_clip(tmp_path: Path) -> None:
     path = written(tmp_path, SMALL)
     clip = read_clip(path, unit_m=CMU_UNIT_M, up="y")
-    rows = list(read_bvh_rows(path, subjects=["S01"], start_ns=7))
+    rows = list(read_bvh_rows(path, unit_m=CMU_UNIT_M, subjects=["S01"], start_ns=7))
     names, positions, rotations = poses(rows)
     assert names == clip.names
     np.testing.assert_allclose(positions, clip.positions)

@@ -75,7 +75,7 @@ def test_times_that_lie_far_apart_are_an_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a\tb", "a\nb", "a\r", ""])
 def test_names_that_break_tabbed_text_are_refused(tmp_path: Path, name: str) -> None:
     markers = [(0, 0, Markers("S", ("x", name), np.ones((2, 3)), np.zeros(2)))]
-    poses = [(0, 0, SegmentPoses("S", ("x", name), np.ones((2, 3)), np.ones((2, 4))))]
+    poses = [(0, 0, SegmentPoses("S", ("x", name), np.ones((2, 3)), np.full((2, 4), 0.5)))]
     for write, rows in ((write_trc, markers), (write_sto, poses)):
         with pytest.raises(MocapError, match="no name for tab-separated text") as raised:
             write(tmp_path / "out", rows)

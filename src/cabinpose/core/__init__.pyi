@@ -90,6 +90,10 @@ from .skeleton import Skeleton as Skeleton
 from .skeleton import SkeletonName as SkeletonName
 from .skeleton import skeleton_of as skeleton_of
 from .skeleton import skeleton_with as skeleton_with
+from .units import CMU_UNIT_M as CMU_UNIT_M
+from .units import LENGTHS_M as LENGTHS_M
+from .units import metres_of as metres_of
+from .units import units_that_fit as units_that_fit
 from .whole import FULL_DISK as FULL_DISK
 from .whole import check_output as check_output
 from .whole import interrupts_held as interrupts_held

@@ -1,6 +1,15 @@
 from .angular import angular_speed as angular_speed
 from .angular import angular_velocity as angular_velocity
 from .angular import rotation_angle as rotation_angle
+from .body_check import LIMITS as LIMITS
+from .body_check import BodySize as BodySize
+from .body_check import BodyTrack as BodyTrack
+from .body_check import Doubt as Doubt
+from .body_check import body_doubts as body_doubts
+from .body_check import body_size as body_size
+from .body_check import recognised_unit as recognised_unit
+from .body_check import stamp_doubts as stamp_doubts
+from .body_check import trunk_columns as trunk_columns
 from .clock import ClockMap as ClockMap
 from .clock import HostClock as HostClock
 from .clock import Unwrapper as Unwrapper
@@ -39,3 +48,5 @@ from .rotations import product as product
 from .rotations import rotation_vectors as rotation_vectors
 from .rotations import since_first as since_first
 from .rotations import turn_about as turn_about
+from .take_check import TakeCheck as TakeCheck
+from .take_check import TakenBody as TakenBody

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import CABINPOSE, ITOP, OCCUPANT_SLOTS, OTHER_SKELETONS, Bools, Camera, Floats, Skeleton, Visibility
+from cabinpose.core import (
+    CABINPOSE,
+    ITOP,
+    OCCUPANT_SLOTS,
+    OTHER_SKELETONS,
+    Bools,
+    Camera,
+    Floats,
+    Skeleton,
+    Visibility,
+    units_that_fit,
+)
 from cabinpose.store.schema import joint_dimension, joints_variable
 from cabinpose.store.source import UNKNOWN
 
@@ -275,7 +286,7 @@ def _statures(name: str, lengths: Floats, who: NDArray[np.str_]) -> Iterator[str
     wrong = medians[(medians < low) | (medians > high)]
     if len(wrong):
         middle = float(np.median(wrong))
-        units = [unit for unit, metres in (("mm", 0.001), ("cm", 0.01), ("inch", 0.0254)) if 0.7 < middle * metres < 2.2]
+        units = units_that_fit(middle, (0.7, 2.2), ("mm", "cm", "inch"))
         cause = f"{name} fits in {units[0]}" if units else "another unit or scale?"
         why = LIMITS["tall_m" if middle > high else "short_m"][1]
         yield f"{len(wrong)} of {len(medians)} people are {middle:.3g} m tall by their bones in {name}: {cause}; {why}"

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cabinpose._native import core as native
-from cabinpose.core import ConfigError, Floats, Ints, MocapError, axis_rotation, unknown_name
+from cabinpose.core import CMU_UNIT_M, ConfigError, Floats, Ints, MocapError, axis_rotation, unknown_name
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, DOFS, LOWER, UPPER
 
@@ -268,7 +268,7 @@ class MocapProfile(_Profile):
     kind: Literal["mocap"] = "mocap"
     path: str = Field(description="BVH (names of the CMU database), MVNX, C3D with Plug-in Gait's bones, or a suit's recording.")
     subject: str | None = Field(None, description="Whose motion, where the file tells of several people.")
-    unit_m: float = Field(0.0254 / 0.45, gt=0.0, description="Metres of a BVH file's length unit; CMU: inches times 0.45.")
+    unit_m: float = Field(CMU_UNIT_M, gt=0.0, description="Metres of a BVH file's length unit; CMU: inches times 0.45.")
     up: Literal["y", "z"] = Field("y", description="A BVH file's vertical axis.")
     start_s: float = Field(0.0, ge=0.0, description="Where in the recording to begin.")
     end_s: float | None = Field(None, gt=0.0, description="Where to end; left out: at its end.")

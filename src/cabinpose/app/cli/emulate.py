@@ -170,10 +170,10 @@ def _mvn(command: EmulateMvn) -> dict[str, Any]:
 
 def _motion(name: str) -> SuitMotion:
     from cabinpose.record.emulate import generated, recorded
-    from cabinpose.store.convert import read_mvnx
+    from cabinpose.store.convert import motion_rows
 
     path = Path(name)
-    return recorded(read_mvnx(path)) if path.suffix.lower() == ".mvnx" else generated(name)
+    return recorded(motion_rows(path)) if path.suffix.lower() == ".mvnx" else generated(name)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from tyro.conf import Positional, Suppress, arg
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, refuse, several
 from cabinpose.app.cli.formats import choices, modern, names_of
-from cabinpose.app.cli.output import print_json, print_rows, printable, progress
+from cabinpose.app.cli.output import print_json, print_rows, print_table, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError
 
@@ -131,10 +131,16 @@ def _import_recording(command: ImportRecording) -> None:
     )
     if made.refused:
         print(f"{made.refused} messages could not be kept, the last: {printable(made.reason)}", file=sys.stderr)
+    from cabinpose.app.report.recordings import BODY_WORDS, bodies_as_data, body_rows
+
     if command.as_json:
-        print_json({"out": str(made.path), "format": command.format, "samples": dict(made.samples), "refused": made.refused})
+        found = {"samples": dict(made.samples), "refused": made.refused, "bodies": bodies_as_data(made.bodies)}
+        print_json({"out": str(made.path), "format": command.format, **found})
     else:
         print_rows((source, f"{count} samples") for source, count in made.samples.items())
+        if made.bodies:
+            print()
+            print_table(body_rows(made.bodies), words=BODY_WORDS)
         print(f"see what it holds with: cabinpose info {made.path}", file=sys.stderr)
 
 

@@ -154,11 +154,14 @@ def _print_takes_of(folder: Path, subject: str, *, as_json: bool) -> None:
 
 def _print_recording(path: Path, *, as_json: bool) -> None:
     require("record")
-    from cabinpose.app.report.recordings import source_rows, topic_rows
+    from cabinpose.app.report.recordings import BODY_WORDS, body_rows, source_rows, topic_rows
     from cabinpose.record.sources.tof import described
     from cabinpose.store.recording import survey
 
     found = survey(path)
+    for body in found.bodies:
+        for doubt in body.doubts:
+            warnings.warn(f"{path}: {body.subject or body.source}: {doubt.words} ({doubt.hint})", stacklevel=2)
     if as_json:
         print_json(_as_data(found))
         return
@@ -179,6 +182,9 @@ def _print_recording(path: Path, *, as_json: bool) -> None:
     )
     print()
     print_table(source_rows(found))
+    if found.bodies:
+        print()
+        print_table(body_rows(found.bodies), words=BODY_WORDS)
     if setups := [(f"{s.name} set-up", ", ".join(described(values))) for s in found.sources for values in s.setups]:
         print()
         print_rows(setups)
@@ -192,6 +198,8 @@ def _print_recording(path: Path, *, as_json: bool) -> None:
 
 def _as_data(found: Survey) -> dict[str, Any]:
     """A survey as plain data, without the arrival time of each sample."""
+    from cabinpose.app.report.recordings import bodies_as_data
+
     plain = dataclasses.asdict(found)
     for source in plain["sources"]:
         del source["arrival_ns"]
@@ -200,5 +208,6 @@ def _as_data(found: Survey) -> dict[str, Any]:
         "recording": str(found.path),
         "take": found.take.model_dump(mode="json"),
         **{key: plain[key] for key in ("bytes", "started_ns", "seconds", "damage", "topics")},
+        "bodies": bodies_as_data(found.bodies),
         "sources": {source.pop("name"): source for source in plain["sources"]},
     }

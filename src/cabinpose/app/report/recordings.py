@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +17,13 @@ from cabinpose.app.report.timeline import interval_chart, timeline
 from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, depth_range, resized, text
 from cabinpose.app.view.sheet import VIEW_FILES
 from cabinpose.core import write_together
-from cabinpose.signals import Markers, Sample, SegmentPoses, ToFFrame
+from cabinpose.signals import Markers, Sample, SegmentPoses, TakenBody, ToFFrame
 from cabinpose.store import png
 from cabinpose.store.recording import Recording, SourceSurvey, Survey, survey
 
 _HEIGHT = 200  # px of a picture
 _INK, _PAPER = (210, 215, 222), (24, 26, 31)
+BODY_WORDS = (0, 1, 2, 7, 8)  # columns of `body_rows` that are no numbers
 _SIDE_M = 2.2  # what a picture of points shows
 
 
@@ -75,6 +78,29 @@ def topic_rows(found: Survey) -> list[list[str]]:
     ]
 
 
+def body_rows(bodies: Sequence[TakenBody]) -> list[list[str]]:
+    """A head and a line for each body or thing: sizes in m, lowest: its lowest point; by which unit and axis it was read."""
+    head = "source subject kind frames size_m stature_m lowest_m up unit"
+    rows = [[title.replace("_", " ") for title in head.split()]]
+    for b in bodies:
+        sizes = ["-" if math.isnan(value) else f"{value:.2f}" for value in b.size[:3]]
+        read = [f"z (file: {b.up})" if b.up not in ("", "z") else "z", f"m (file: {b.unit})" if b.unit else "m"]
+        rows.append([b.source, b.subject or "-", b.kind, str(b.frames), *sizes, *read])
+    return rows
+
+
+def bodies_as_data(bodies: Sequence[TakenBody]) -> list[dict[str, Any]]:
+    """Bodies as plain data. unit_of_file, up_of_file: null where nothing says them; what is stored has metres and z up."""
+    return [
+        {
+            "source": b.source, "subject": b.subject, "kind": b.kind, "frames": b.frames, "size_m": b.size.size,
+            "stature_m": b.size.stature, "lowest_m": b.size.lowest, "unit": "m", "up": "z", "unit_of_file": b.unit or None,
+            "up_of_file": b.up or None, "doubts": [f"{doubt.words} ({doubt.hint})" for doubt in b.doubts],
+        }
+        for b in bodies
+    ]  # fmt: skip
+
+
 def contact_sheet(shots: dict[str, list[_Shot]], rows: int) -> Image:
     """(H, W, 3): a row a moment, a picture a source; one dark strip where no source gives pictures."""
     count = min(rows, max((len(series) for series in shots.values()), default=0))
@@ -99,6 +125,7 @@ def page_html(found: Survey, shots: dict[str, list[_Shot]]) -> str:
         section("Time line", timeline(found), note),
         section("Between arrivals", intervals, "Line: median; shade: shortest to longest."),
         section("Sources", table(source_rows(found))),
+        *([section("Bodies", table(body_rows(found.bodies), words=BODY_WORDS))] if found.bodies else []),
         *(section(name, el("div", *map(_figure, series), class_="shots")) for name, series in shots.items()),
         section("Topics", table(topic_rows(found), words=(0, 1))),
     ]

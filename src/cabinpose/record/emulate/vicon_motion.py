@@ -10,7 +10,7 @@ import scipy
 
 from cabinpose.core import MocapError
 from cabinpose.signals import F64, Facts, Markers
-from cabinpose.store.convert import read_c3d
+from cabinpose.store.convert import motion_rows
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def motion_of_c3d(path: Path) -> MarkerMotion:
     """
     rows: dict[str, list[Markers]] = {}
     rate = 0.0
-    for _, _, message in read_c3d(path):
+    for _, _, message in motion_rows(path):
         if isinstance(message, Markers):
             rows.setdefault(message.subject, []).append(message)
         elif isinstance(message, Facts) and message.about == "points":

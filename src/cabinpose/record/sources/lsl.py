@@ -16,14 +16,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cabinpose.core import RecordingError, optional_module
+from cabinpose.core import RecordingError, metres_of, optional_module
 from cabinpose.record.sources.base import DeviceSource
 from cabinpose.signals import F64, Channels, Facts, HostClock, Message, Sample, SegmentPoses, product
 
 _MOST_CHANNELS = 4096
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_UNITS_M = {"": 1.0} | dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0) | {"cm": 0.01, "centimeters": 0.01}
-_UNITS_M |= dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 0.001)
 _UNIT_OFF = 0.01  # by which a quaternion's length may be off 1: single precision and rounded text are far below
 _Z_FROM_Y_UP: F64 = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # a quarter turn about x
 _LONGEST_DESCRIPTION = 1 << 20
@@ -216,10 +214,11 @@ def _stated_unit(info: Any, pose: Sequence[int]) -> float:
     channel = info.desc().child("channels").child("channel")
     for _ in range(pose[0]):
         channel = channel.next_sibling("channel")
-    unit = "" if channel.empty() else str(channel.child_value("unit")).lower()
-    if unit not in _UNITS_M:
+    unit = "" if channel.empty() else str(channel.child_value("unit"))
+    metres = metres_of(unit or "m")
+    if metres is None:
         raise RecordingError(f"positions of the LSL stream are in '{unit}'", hint="say how long that is with pose_unit_m")
-    return _UNITS_M[unit]
+    return metres
 
 
 def _load() -> Any:

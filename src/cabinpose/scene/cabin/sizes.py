@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Floats
+from cabinpose.core import LENGTHS_M, Floats
 from cabinpose.scene.cabin.model import Cabin
 from cabinpose.scene.contact import first_crossings
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+UNITS = {name: LENGTHS_M[name] for name in ("m", "cm", "mm", "inch")}  # of a mesh
 _FRONT_ROW = ("driver", "front_passenger")
 _HEAD_M, _TRUNK_M = 0.63, 0.30  # above the H-point; a sitter's eyes are some 0.63 m over it (SAE J941)
 _ROW_M = 0.35  # seats whose H-points are nearer along the car stand in one row

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cabinpose.core import RecordingError
+from cabinpose.core import LENGTHS_M, RecordingError
 from cabinpose.signals import Channels, Message, SegmentPoses, ToFFrame
 from cabinpose.store.yaml_file import read_mapping, validated
 
@@ -27,7 +27,6 @@ Type = Literal[
 ]  # fmt: skip
 
 _HINT = "see 'Streams of ADTF' in docs/recording.md"
-_LENGTHS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
 _TIMES = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 _FLOAT_UNIT_M = 0.00025  # a step of depths that are told in fractions: up to 16.4 m
 _LENGTH, _IMAGES = ("depth", "position"), ("depth", "amplitude", "confidence")
@@ -46,7 +45,7 @@ class LayoutField(BaseModel):
     type: Type = Field(description="Of its numbers, as ADTF or NumPy call it.")
     size: tuple[int, ...] = Field((), description="Of an array: how many, or rows and columns.")
     gives: Gives | None = Field(None, description="What it is; left out: bytes that are passed over.")
-    unit: str | float | None = Field(None, description="Of lengths m, dm, cm, mm, um or metres a step; of times s, ms, us, ns.")
+    unit: str | float | None = Field(None, description="Of lengths m, dm, cm, mm, um, inch, ft or metres a step; of times s, ms, us, ns.")
     of: tuple[str, ...] = Field((), description="Of positions and orientations: the segments, in their order.")
     order: Literal["wxyz", "xyzw"] = Field("wxyz", description="Of an orientation's four numbers.")
 
@@ -62,7 +61,7 @@ class LayoutField(BaseModel):
     def _fits(self) -> Self:
         if any(n < 1 for n in self.size) or math.prod(self.size) > _MOST_BYTES:
             raise ValueError(f"'{self.field}': a size of {list(self.size)}")
-        units: Any = _LENGTHS if self.gives in _LENGTH else _TIMES if self.gives == "time" else None
+        units: Any = LENGTHS_M if self.gives in _LENGTH else _TIMES if self.gives == "time" else None
         if units is not None:
             number = isinstance(self.unit, float) and self.gives in _LENGTH and 0 < self.unit < math.inf
             if self.unit not in units and not number:
@@ -84,7 +83,7 @@ class LayoutField(BaseModel):
 
     def scale(self) -> float:
         """Metres or nanoseconds of the unit."""
-        return self.unit if isinstance(self.unit, float) else (_LENGTHS | _TIMES)[str(self.unit)]
+        return self.unit if isinstance(self.unit, float) else {**LENGTHS_M, **_TIMES}[str(self.unit)]
 
 
 class LayoutCamera(BaseModel):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -20,13 +20,10 @@ import scipy
 from numpy.typing import NDArray
 
 from cabinpose.core import ConfigError, MocapError
-from cabinpose.signals import Facts, SegmentPoses
+from cabinpose.signals import BodyTrack, Facts, SegmentPoses, body_size, recognised_unit
 from cabinpose.store.convert.rows import Row
 
 UpAxis = Literal["y", "z"]
-
-# The CMU database gives lengths in inches times 0.45: the metres of one such unit.
-CMU_UNIT_M = 0.0254 / 0.45
 
 # world_from_file: rows are the world's x (forward), y (left), z (up). Both are proper rotations.
 WORLD_FROM_FILE: dict[str, NDArray[np.float64]] = {
@@ -34,6 +31,7 @@ WORLD_FROM_FILE: dict[str, NDArray[np.float64]] = {
     "z": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),  # faces -y, +x to its left
 }
 _DEEPEST = 200  # joints below each other
+_FRAMES = 32  # that are looked at to recognise the unit
 _CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -52,12 +50,23 @@ class BvhJoint:
 
 @dataclass(frozen=True)
 class Bvh:
-    """A parsed BVH file: the hierarchy, and motion (F, C) as it stands in the file but positions in metres."""
+    """A parsed BVH file: the hierarchy, and motion (F, C) as it stands in the file but positions in metres.
+
+    unit_m: metres of the file's unit of length · unit_because: what told it.
+    """
 
     joints: tuple[BvhJoint, ...]
     motion: NDArray[np.float64]
     frame_s: float
     up: UpAxis
+    unit_m: float = 1.0
+    unit_because: str = "given"
+
+    def in_metres(self, unit_m: float, because: str) -> Bvh:
+        """The file with lengths in metres, of one with lengths in its own unit."""
+        joints = tuple(replace(j, offset=tuple(x * unit_m for x in j.offset)) for j in self.joints)
+        scale = [unit_m if channel.endswith("position") else 1.0 for joint in joints for channel in joint.channels]
+        return replace(self, joints=joints, motion=self.motion * scale, unit_m=unit_m, unit_because=because)
 
     def kinematics(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Forward kinematics: world_from_joint rotations (F, J, 3, 3), positions (F, J, 3) m, and those at rest (J, 3) m.
@@ -95,7 +104,7 @@ class Bvh:
         return axes @ rotations @ axes.T, positions @ axes.T, rest @ axes.T
 
 
-def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") -> Bvh:
+def read_bvh(path: str | Path, *, unit_m: float | None = None, up: UpAxis = "y") -> Bvh:
     """Read a BVH file.
 
     Parameters
@@ -103,14 +112,14 @@ def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") 
     path
         The file.
     unit_m
-        Metres of its unit of length.
+        Metres of its unit of length, which the file does not state; None: the one that makes a person of its body.
     up
         Its vertical axis.
 
     Raises
     ------
     MocapError
-        Where the file is missing, damaged, truncated or contradicts itself.
+        Where the file is missing, damaged, truncated or contradicts itself, and where no unit, or no single one, makes a person.
     """
     path = Path(path)
     try:
@@ -119,15 +128,18 @@ def read_bvh(path: str | Path, *, unit_m: float = CMU_UNIT_M, up: UpAxis = "y") 
         raise MocapError(f"motion file {path} does not exist", hint="check the path") from e
     except (OSError, UnicodeDecodeError) as e:
         raise MocapError(f"motion file {path} cannot be read as text: {e}", hint="a BVH file is plain text") from e
-    if not math.isfinite(unit_m) or unit_m <= 0:
+    if unit_m is not None and not (math.isfinite(unit_m) and unit_m > 0):
         raise MocapError(f"unit_m must be a positive length in metres, not {unit_m}", hint="0.01 for centimetres")
     head, separator, tail = text.partition("MOTION")
     if not separator:
         raise MocapError(f"{path.name}: no MOTION section", hint="the file is truncated or not BVH")
-    joints = _Hierarchy(path.name, head, unit_m).parse()
+    joints = _Hierarchy(path.name, head).parse()
     motion, frame_s = _read_motion(path.name, tail, sum(len(j.channels) for j in joints))
-    motion *= [unit_m if channel.endswith("position") else 1.0 for joint in joints for channel in joint.channels]
-    return Bvh(joints, motion, frame_s, up)
+    bvh = Bvh(joints, motion, frame_s, up)
+    because = "given"
+    if unit_m is None:
+        unit_m, because = _recognised(path.name, bvh)
+    return bvh.in_metres(unit_m, because)
 
 
 def read_bvh_rows(
@@ -140,7 +152,7 @@ def read_bvh_rows(
     path
         The file.
     unit_m
-        Metres of its unit of length; None: as in the CMU database.
+        Metres of its unit of length; None: as `read_bvh` recognises it.
     up
         Its vertical axis, y or z; None: y.
     subjects
@@ -158,14 +170,15 @@ def read_bvh_rows(
     if up not in (None, "y", "z"):
         raise ConfigError(f"a BVH file has y or z up, not {up}", hint="give --up y or --up z")
     subject = (*subjects, "subject")[0]
-    bvh = read_bvh(path, unit_m=unit_m or CMU_UNIT_M, up="z" if up == "z" else "y")
+    bvh = read_bvh(path, unit_m=unit_m, up="z" if up == "z" else "y")
     rotations, positions, rests = bvh.kinematics()
     names = tuple(joint.name for joint in bvh.joints)
     segments = [
         {"name": joint.name, "parent": names[joint.parent] if joint.parent >= 0 else None, "rest_m": [float(x) for x in rest]}
         for joint, rest in zip(bvh.joints, rests, strict=True)
     ]
-    yield start_ns, 0, Facts(f"subject {subject}", {"segments": segments, "frame_rate_hz": 1 / bvh.frame_s})
+    about = {"unit_m": bvh.unit_m, "unit_because": bvh.unit_because, "up": bvh.up, "up_because": "given" if up else "assumed"}
+    yield start_ns, 0, Facts(f"subject {subject}", {"segments": segments, "frame_rate_hz": 1 / bvh.frame_s, **about})
     turned = scipy.spatial.transform.Rotation.from_matrix(rotations.reshape(-1, 3, 3))
     quaternions = turned.as_quat(scalar_first=True, canonical=True)
     poses = zip(positions, quaternions.reshape(len(positions), -1, 4), strict=True)
@@ -174,14 +187,28 @@ def read_bvh_rows(
         yield start_ns + time_ns, time_ns, SegmentPoses(subject, names, position, orientation)
 
 
+def _recognised(name: str, bvh: Bvh) -> tuple[float, str]:
+    """Metres of the unit that makes a person of a body in the file's unit, and what told it; MocapError where none does."""
+    some = replace(bvh, motion=bvh.motion[:: max(1, len(bvh.motion) // _FRAMES)])
+    track = BodyTrack(tuple(joint.name for joint in bvh.joints), some.kinematics()[1])
+    found = recognised_unit(track)
+    if found is None:
+        size = body_size(track)
+        seen = f"a stature of {size.stature:.3g}" if np.isfinite(size.stature) else f"a size of {size.size:.3g}"
+        raise MocapError(
+            f"{name}: BVH states no unit of length, and {seen} tells none: no single unit makes a person of it",
+            hint="give it: --unit-m 0.01 for centimetres, 0.0254 for inches",
+        )
+    return found
+
+
 class _Hierarchy:
     """A recursive-descent parser of the HIERARCHY section."""
 
-    def __init__(self, name: str, text: str, unit_m: float) -> None:
+    def __init__(self, name: str, text: str) -> None:
         self._name = name
         self._tokens = text.split()
         self._next = 0
-        self._unit_m = unit_m
         self._joints: list[BvhJoint] = []
 
     def parse(self) -> tuple[BvhJoint, ...]:
@@ -235,7 +262,7 @@ class _Hierarchy:
     def _vector(self) -> tuple[float, float, float]:
         tokens = [self._take() for _ in range(3)]
         try:
-            x, y, z = (float(t) * self._unit_m for t in tokens)
+            x, y, z = map(float, tokens)
         except ValueError as e:
             raise self._error(f"OFFSET needs three numbers, not '{' '.join(tokens)}'", "the file is damaged") from e
         return x, y, z

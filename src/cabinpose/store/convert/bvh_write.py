@@ -20,7 +20,7 @@ from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
 from cabinpose.signals import F64, Facts, Sample, SegmentPoses, resample_positions, resample_rotations
 from cabinpose.store.convert.bvh import WORLD_FROM_FILE, UpAxis, read_bvh_rows
 from cabinpose.store.convert.format import RecordingFormat
-from cabinpose.store.convert.rows import Entry, Row, begun_ns, new_file, rows_of
+from cabinpose.store.convert.rows import Entry, Row, begun_ns, check_rotations, new_file, rows_of
 
 _UNIT_M = 0.01
 _UP = "y"
@@ -39,7 +39,7 @@ class BvhImport:
     begun: str | None = None
     """When it was recorded (2026-11-21T14:30:00+01:00); default: 1970, since the file does not tell."""
     unit_m: float | None = None
-    """Metres of the unit of length; default: that of the CMU database."""
+    """Metres of the unit of length; default: the one that makes a person of the body."""
     up: UpAxis | None = None
     """The axis that points up; default: y."""
 
@@ -105,7 +105,8 @@ def write_bvh(path: Path, rows: Iterable[Row], *, subject: str | None = None, ov
     Raises
     ------
     RecordingError
-        Where there are no poses, the hierarchy is not known or not one tree, segments were not seen, or the file exists.
+        Where there are no poses, the hierarchy is not known or not one tree, segments were not seen, their orientations are no
+        rotations, or the file exists.
     """
     stated: dict[str, Mapping[str, str]] = {}
     names: tuple[str, ...] = ()
@@ -129,6 +130,7 @@ def write_bvh(path: Path, rows: Iterable[Row], *, subject: str | None = None, ov
     if not times:
         raise RecordingError(f"no poses{'' if subject is None else f' of {subject}'} to write", hint="BVH needs segments' poses")
     skeleton, order = _skeleton(names, stated.get(subject or "") or _mvn_parents(names))
+    check_rotations(subject or "the subject", np.array(orientations))
     moved = _regular(times, np.array(positions)[:, order], np.array(orientations)[:, order])
     with new_file(path, overwrite=overwrite) as file:
         _write(file, skeleton, *moved)

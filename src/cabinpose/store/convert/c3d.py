@@ -19,15 +19,15 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from cabinpose.core import MocapError, optional_module
-from cabinpose.signals import F64, Channels, Facts, JointAngles, Markers
+from cabinpose.core import LENGTHS_M, MocapError, metres_of, optional_module
+from cabinpose.signals import F64, BodyTrack, Channels, Facts, JointAngles, Markers, recognised_unit
 from cabinpose.store.convert.apart import CrashedError, items_apart
 from cabinpose.store.convert.c3d_up import WORLD_FROM_UP, Axis, vertical_axis
 from cabinpose.store.convert.rows import Row
 
-METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 ANGLES, OTHERS = "ANGLES", ("FORCES", "MOMENTS", "POWERS", "SCALARS")
 _BLOCK = 512
+_FRAMES = 64  # that are looked at to recognise the unit
 _MOST_CLAIMED = 4  # numbers for each byte of a file
 _REFUSALS = (OSError, RuntimeError, ValueError, TypeError, AttributeError, LookupError, MemoryError, OverflowError)
 
@@ -64,7 +64,8 @@ def read_c3d(
     Warns
     -----
     UserWarning
-        Where the markers contradict the axis that the file names, nothing tells the axis, or frames are missing at the end.
+        Where the markers contradict the axis that the file names, nothing tells the axis, the file does not say its unit, or frames
+        are missing at the end.
 
     Raises
     ------
@@ -129,16 +130,30 @@ class _Trial:
             self.notes.append(f"is cut off: {len(self.points)} of {len(self.points) + lost} frames are taken, {lost} are lost")
         else:
             _check_frames(path, parameters.get("TRIAL", {}), len(self.points))
-        self.scale = _metres(path, point)
         self.degrees = str((point.get("ANGLE_UNITS") or ["deg"])[0]).strip().lower() != "rad"
         self.channels = _names(analog, "LABELS", self.analogs.shape[1], "analog")
         self.markers, self.models = _groups(path, parameters, self.points.shape[1], codes)
+        self.scale, unit_because = self._metres(path, point)
         self.up, because = (up, "given") if up is not None else self._upright(_screen_axis(path, point))
         about = {
             "rate_hz": self.rate, "frames": len(self.points), "first_frame": self.first, "frames_lost": lost,
-            "up": self.up, "up_because": because,
+            "up": self.up, "up_because": because, "unit_m": self.scale, "unit_because": unit_because,
         }  # fmt: skip
         self.facts = list(_facts(parameters, point, analog, about))
+
+    def _metres(self, path: Path, point: Mapping[str, Any]) -> tuple[float, str]:
+        """Metres of the file's unit of length, and what tells it; with a note where the file does not."""
+        unit = str((point.get("UNITS") or [""])[0]).strip()
+        if unit:
+            metres = metres_of(unit)
+            if metres is None:
+                raise MocapError(f"{path} has points in '{unit}'", hint=f"set POINT:UNITS to one of {', '.join(LENGTHS_M)}")
+            return metres, f"{unit}: POINT:UNITS"
+        some = self.points[:: max(1, len(self.points) // _FRAMES)]
+        bodies = (BodyTrack(tuple(part.values()), some[:, list(part)]) for part in self.markers.values())
+        found = next(filter(None, map(recognised_unit, bodies)), None) or (LENGTHS_M["mm"], "mm: assumed, as nothing tells it")
+        self.notes.append(f"does not say its unit of length, which is taken as {found[1]}; if that is wrong, set POINT:UNITS")
+        return found
 
     def _upright(self, hint: Axis | None) -> tuple[Axis, str]:
         """The axis that points up and what tells it, with a note where the file's hint says something else, or nothing."""
@@ -295,14 +310,6 @@ def _plain(value: Any) -> Any:
 
 def _word(text: str) -> str:
     return text.encode("utf-8", "replace").decode("utf-8")
-
-
-def _metres(path: Path, point: Mapping[str, Any]) -> float:
-    """Metres of the file's unit of length."""
-    unit = str((point.get("UNITS") or ["mm"])[0]).strip().lower()
-    if unit not in METRES:
-        raise MocapError(f"{path} has points in '{unit}'", hint=f"set POINT:UNITS to one of {', '.join(METRES)}")
-    return METRES[unit]
 
 
 def _screen_axis(path: Path, point: Mapping[str, Any]) -> Axis | None:

@@ -6,7 +6,6 @@ whose z is up. So it is believed as long as the markers do not contradict it.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Literal, TypeAlias
@@ -14,7 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from cabinpose.core import ZUP_FROM_YUP
-from cabinpose.signals import F64
+from cabinpose.signals import F64, trunk_columns
 
 Axis: TypeAlias = Literal["x", "-x", "y", "-y", "z", "-z"]
 _FLIP = np.diag([1.0, -1.0, -1.0])  # half a turn about x
@@ -25,13 +24,6 @@ WORLD_FROM_UP: Mapping[str, F64] = MappingProxyType(
         "-x": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
     }
 )  # fmt: skip
-# Parts of usual names: Plug-in Gait's LFHD and RASI, Qualisys' HeadL and RHeelBack, BTS' "r should" and "l mall"
-_UPPER = re.compile(r"head|neck|should|sho(?![a-z])|acro|clav|[lr][fb]hd|(?<![a-z0-9])c7(?![0-9])", re.I)
-_LOWER = re.compile(
-    r"toe|ankle|ank(?![a-z])|foot|(?<!w)heel|hee(?![a-z])|mall|(?<!l)met|calc|asi(?![a-z])|asis|psi|pelvi|sacr|waist|hip|mt\d",
-    re.I,
-)
-_BONE = re.compile(r"fib|tib|fem|rad|uln|hum|met|m[ct](\d|head)", re.I)  # each has a head, or ends at the shoulder
 _NEAR_AN_AXIS = 0.7  # cosine; a seated person's shoulders lie about 30 degrees before their feet and hips
 _MOST = 0.8  # of the frames
 _SMALLEST_M = 0.2  # between upper and lower markers, and the spread of markers from which anything can be told
@@ -66,8 +58,8 @@ def vertical_axis(hint: Axis | None, position_m: F64, subjects: Iterable[Mapping
 
 
 def _by_names(position_m: F64, markers: Mapping[str, int]) -> Axis | None:
-    upper = [column for name, column in markers.items() if _UPPER.search(name) and not _BONE.search(name)]
-    lower = [column for name, column in markers.items() if _LOWER.search(name) and column not in upper]
+    columns = list(markers.values())
+    upper, lower = ([columns[i] for i in found] for found in trunk_columns(tuple(markers)))
     if not upper or not lower:
         return None
     seen = np.isfinite(position_m[:, upper, 0]).any(axis=1) & np.isfinite(position_m[:, lower, 0]).any(axis=1)

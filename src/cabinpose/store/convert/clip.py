@@ -12,11 +12,13 @@ import scipy
 from numpy.typing import NDArray
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, MocapError
-from cabinpose.signals import F64, Markers, SegmentPoses
+from cabinpose.signals import F64, BodyTrack, Markers, SegmentPoses, body_doubts
 from cabinpose.store.convert.bvh import UpAxis, read_bvh
 from cabinpose.store.convert.motion_files import M, motion_rows, of_one_subject
+from cabinpose.store.convert.rows import say_doubts
 
 _PARENT = {child: parent for _, parent, child in MVN_JOINTS}
+_LOOK = 64  # frames of a BVH file that are judged
 _GAP_S = 0.1  # without a whole frame, at the most
 
 
@@ -53,7 +55,8 @@ def read_clip(path: str | Path, *, unit_m: float, up: UpAxis, subject: str | Non
     Raises
     ------
     RecordingError
-        Where the file is missing or of another kind, tells of nobody or of several, or an MVNX file or a recording is damaged.
+        Where the file is missing or of another kind, tells of nobody or of several, cannot be of a person (its unit, for one), or
+        an MVNX file or a recording is damaged.
     MocapError
         Where a BVH or C3D file is damaged, or the motion has gaps.
     """
@@ -62,7 +65,10 @@ def read_clip(path: str | Path, *, unit_m: float, up: UpAxis, subject: str | Non
     if suffix == ".bvh":
         bvh = read_bvh(path, unit_m=unit_m, up=up)
         rotations, positions, rest = bvh.kinematics()
-        return Clip(tuple(j.name for j in bvh.joints), rotations, positions, rest, bvh.frame_s)
+        names = tuple(j.name for j in bvh.joints)
+        some = BodyTrack(names, positions[:: max(1, len(positions) // _LOOK)])
+        say_doubts(path, ((f"unit_m {bvh.unit_m:.4g}, up {up}", doubt) for doubt in body_doubts(some)))
+        return Clip(names, rotations, positions, rest, bvh.frame_s)
     if suffix == ".c3d":
         time_ns, markers = of_one_subject(path, _timed(path, Markers, "PELO"), subject, "bones of Plug-in Gait")
         return _clip(path, time_ns, *_bones(path, markers))

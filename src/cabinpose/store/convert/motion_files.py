@@ -15,7 +15,7 @@ from cabinpose.signals import Markers, SegmentPoses, SensorReadings
 from cabinpose.store.convert.bvh import read_bvh_rows
 from cabinpose.store.convert.c3d import read_c3d
 from cabinpose.store.convert.mvnx import read_mvnx
-from cabinpose.store.convert.rows import Row
+from cabinpose.store.convert.rows import Row, checked
 from cabinpose.store.recording import Recording
 
 _READERS: Mapping[str, Callable[[Path], Iterator[Row]]] = MappingProxyType(
@@ -27,7 +27,8 @@ M = TypeVar("M", SegmentPoses, Markers, SensorReadings)
 def motion_rows(path: Path, source: str | None = None) -> Iterator[Row]:
     """The messages of a recording (.mcap; of one source, None: of all), or of an MVNX, C3D or BVH file.
 
-    Raises RecordingError for another file and for a source that is not there, RecordingError or MocapError for a damaged one.
+    Files are judged by `rows.checked`. Raises RecordingError for another file and for a source that is not there, RecordingError or
+    MocapError for a damaged one.
     """
     suffix = path.suffix.lower()
     if suffix != ".mcap" and suffix not in _READERS:
@@ -35,7 +36,8 @@ def motion_rows(path: Path, source: str | None = None) -> Iterator[Row]:
     if not path.exists():
         raise RecordingError(f"{path} does not exist", hint="give a recording (.mcap), or an MVNX, C3D or BVH file")
     if suffix != ".mcap":
-        yield from _READERS[suffix](path)
+        entries = ((suffix, *row) for row in _READERS[suffix](path))
+        yield from (entry[1:] for entry in checked(path, entries))
         return
     with Recording(path) as recording:
         if source is not None and source not in recording.sources:

@@ -210,6 +210,7 @@ class _SubjectReader:
         self.rate_hz = _number(subject.attributes.get("frameRate"), 0.0)
         about: dict[str, object] = {"mvn": dict(program), "mvnx_subject": dict(subject.attributes)}
         about |= {"frame_rate_hz": self.rate_hz, "sensors": list(self.sensors)}
+        about |= {"unit_m": 1.0, "unit_because": "m: as MVNX has it", "up": "z"}
         points = [point for segment in subject.all("segments", "segment") for point in _points(segment)]
         self._facts: list[dict[str, object]] = [about, {"points": points}]
         self._unread: set[str] = set()

@@ -20,7 +20,7 @@ import scipy
 from cabinpose.core import ZUP_FROM_YUP, MocapError
 from cabinpose.signals import F64, Facts, JointAngles, Markers, Sample, SegmentPoses
 from cabinpose.store.convert.format import RecordingFormat
-from cabinpose.store.convert.rows import Row, new_file, rows_of
+from cabinpose.store.convert.rows import Row, check_rotations, new_file, rows_of
 from cabinpose.store.convert.table import Table, TableExport, chosen_subject, told_rate
 
 _MM = 1e3
@@ -84,7 +84,7 @@ def write_sto(
 ) -> Path:
     """Write the orientations of the segments of one subject, or its joint `angles`; what is missing is nan.
 
-    Everything else as in `write_trc`.
+    Everything else as in `write_trc`; RecordingError also where orientations are no rotations.
     """
     if angles:
         table, rate = _table(rows, JointAngles, "angles", "joint angles", subject, rate_hz)
@@ -95,6 +95,7 @@ def write_sto(
     else:
         table, rate = _table(rows, SegmentPoses, "orientation_wxyz", "segments", subject, rate_hz)
         first_ns, values = table.frames(rate)
+        check_rotations("the segments", values)
         names = list(table.columns)
         cells = [[",".join(f"{part:.12g}" for part in quaternion) for quaternion in frame] for frame in _y_up(values).tolist()]
         head = f"DataRate={rate:.6f}\nDataType=Quaternion\nversion=3\nOpenSimVersion=4.5\n"
@@ -176,10 +177,9 @@ def _text_file(path: Path, names: Iterable[str], *, overwrite: bool) -> Iterator
 
 
 def _y_up(orientation_wxyz: F64) -> F64:
-    """(F, S, 4) orientations in OpenSim's world; NaN where they are no rotations."""
+    """(F, S, 4) orientations in OpenSim's world; NaN where they are not known."""
     result = np.full(orientation_wxyz.shape, np.nan)
-    with np.errstate(all="ignore"):
-        valid = np.isfinite(orientation_wxyz).all(axis=2) & (np.linalg.norm(orientation_wxyz, axis=2) > 1e-9)
+    valid = np.isfinite(orientation_wxyz).all(axis=2)
     if valid.any():
         upright = scipy.spatial.transform.Rotation.from_matrix(ZUP_FROM_YUP.T)
         turned = scipy.spatial.transform.Rotation.from_quat(orientation_wxyz[valid], scalar_first=True)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from cabinpose.core import RecordingError, whole_file
-from cabinpose.signals import Sample
+from cabinpose.signals import Facts, Message, Sample, TakeCheck, TakenBody
 from cabinpose.store.convert.format import RecordingFormat, format_of, made_options
-from cabinpose.store.convert.rows import Entry
+from cabinpose.store.convert.rows import Entry, checked
 from cabinpose.store.recording import Chunking, Recording, RecordingWriter, Take
 
 _NO_NAME = re.compile(r"[^a-z0-9_-]+")
@@ -23,12 +23,16 @@ _NAME_LENGTH = 32
 
 @dataclass(frozen=True)
 class Imported:
-    """What came of an import: the file, samples by source, and messages that could not be kept, with the reason of the last."""
+    """What came of an import: the file, samples by source, and messages that could not be kept, with the reason of the last.
+
+    bodies: whose positions are in it, how large they are, and by what unit.
+    """
 
     path: Path
     samples: Mapping[str, int]
     refused: int
     reason: str
+    bodies: tuple[TakenBody, ...] = ()
 
 
 def import_recording(
@@ -56,7 +60,8 @@ def import_recording(
     ConfigError
         For an unknown format, or an option that it does not have.
     RecordingError, MocapError
-        Where the file cannot be read to its end or `out` exists; then nothing is left behind, and what was in `out` stays.
+        Where the file cannot be read to its end, `out` exists, or its bodies or time stamps cannot be; then nothing is left
+        behind, and what was in `out` stays.
     DependencyError
         Where a package is missing.
     """
@@ -64,8 +69,9 @@ def import_recording(
     if out.exists() and not overwrite:
         raise RecordingError(f"{out} exists", hint="--overwrite replaces it, or give another file with --out")
     refused: list[str] = []
+    check = TakeCheck()
     with whole_file(out, kind=RecordingError) as temporary:
-        entries = _named(found)
+        entries = checked(path, _named(found), check)
         first = next(entries, None)
         if first is None:
             raise RecordingError(f"{path} holds nothing that is recorded", hint="give another file")
@@ -75,7 +81,7 @@ def import_recording(
             for source, sample in _samples(chain([first], entries)):
                 refused += writer.write(source, sample)
                 samples[source] += 1
-    return Imported(out, dict(samples), len(refused), refused[-1] if refused else "")
+    return Imported(out, dict(samples), len(refused), refused[-1] if refused else "", check.bodies())
 
 
 def export_recording(
@@ -158,9 +164,20 @@ def _named(entries: Iterator[Entry]) -> Iterator[Entry]:
 
 
 def _samples(entries: Iterable[Entry]) -> Iterator[tuple[str, Sample]]:
-    """Entries in a row with the same source and times are one sample."""
+    """Entries in a row with the same source and times are one sample, until one of them comes again: frames of equal stamps are
+    as many samples.
+    """
     for (source, host_ns, device_ns), group in groupby(entries, key=lambda entry: entry[:3]):
-        yield source, Sample(None, host_ns, device_ns, b"", tuple(entry[3] for entry in group))
+        messages: list[Message] = []
+        there: set[tuple[object, ...]] = set()
+        for *_, message in group:
+            what = type(message), getattr(message, "subject", ""), getattr(message, "names", ())
+            if what in there and not isinstance(message, Facts):
+                yield source, Sample(None, host_ns, device_ns, b"", tuple(messages))
+                messages, there = [], set()
+            messages.append(message)
+            there.add(what)
+        yield source, Sample(None, host_ns, device_ns, b"", tuple(messages))
 
 
 # ------------------------------------------------------------------------------------------------------------- writing

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
+import numpy as np
+
 from cabinpose.core import ConfigError, RecordingError, whole_file
-from cabinpose.signals import Message, Sample
+from cabinpose.signals import F64, LIMITS, Doubt, Message, Sample, TakeCheck
 
 Row: TypeAlias = tuple[int, int | None, Message]  # host_ns, device_ns, message
 Entry: TypeAlias = tuple[str, int, int | None, Message]  # source, then as in a row
@@ -45,3 +48,46 @@ def epoch_ns(moment: str) -> int:
     found = datetime.fromisoformat(moment)
     since = (found if found.tzinfo else found.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
+
+
+def checked(path: Path, entries: Iterable[Entry], check: TakeCheck | None = None) -> Iterator[Entry]:
+    """The entries of a file; at its end it is judged whether they can be those of people (`signals.body_check`).
+
+    check: what looks at them, to be asked afterwards.
+
+    Warns
+    -----
+    UserWarning
+        Of what hardly can be.
+
+    Raises
+    ------
+    RecordingError
+        Of what cannot be.
+    """
+    check = TakeCheck() if check is None else check
+    for entry in entries:
+        source, host_ns, device_ns, message = entry
+        check.add(source, host_ns if device_ns is None else device_ns, message)
+        yield entry
+    say_doubts(path, [*((b.subject or b.source, doubt) for b in check.bodies() for doubt in b.doubts), *check.streams()])
+
+
+def say_doubts(path: Path, doubts: Iterable[tuple[str, Doubt]]) -> None:
+    """Raise RecordingError for the first of a file's doubts, each with whose it is, that cannot be; warn of the others."""
+    for whose, doubt in sorted(doubts, key=lambda each: not each[1].impossible):
+        if doubt.impossible:
+            raise RecordingError(f"{path}: {whose}: {doubt.words}", hint=doubt.hint)
+        warnings.warn(f"{path}: {whose}: {doubt.words} ({doubt.hint})", stacklevel=3)
+
+
+def check_rotations(whose: str, orientation_wxyz: F64) -> None:
+    """Raise RecordingError where quaternions (..., 4) are no rotations; those that are not known (NaN) are passed over."""
+    norm = np.linalg.norm(orientation_wxyz, axis=-1)
+    low, high, why = LIMITS["norm"]
+    odd = (norm < low) | (norm > high)  # False for NaN
+    if odd.any():
+        raise RecordingError(
+            f"{int(odd.sum())} of {odd.size} orientations of {whose} are no rotations: a quaternion has length {norm[odd][0]:.3g} ({why})",
+            hint="record or export it again from where it comes; what is not known is nan",
+        )

@@ -37,10 +37,12 @@ class Table:
     rows: dict[int, list[tuple[list[int], F64]]] = field(default_factory=dict)  # time -> columns and their values
 
     def add(self, time_ns: int, names: Sequence[str], values: F64) -> None:
-        """Values (names, width) at a time. MocapError where two names are the same."""
+        """Values (names, width) at a time; of equal times the first counts. MocapError where two names are the same."""
         if len(set(names)) != len(names):
             raise MocapError(f"two of {', '.join(names)} have one name", hint="rename one: they are told apart by their names")
         at = [self.columns.setdefault(name, len(self.columns)) for name in names]
+        if any(set(at) & set(columns) for columns, _ in self.rows.get(time_ns, ())):
+            return
         self.rows.setdefault(time_ns, []).append((at, values.reshape(len(at), self.width)))
 
     def rate_hz(self) -> float | None:

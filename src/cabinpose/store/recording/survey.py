@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -11,14 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.store.recording.messages import decode_setup, decode_status
-from cabinpose.store.recording.reader import Recording
+from cabinpose.core import RecordingError
+from cabinpose.signals import TOPICS, Facts, Markers, SegmentPoses, TakeCheck, TakenBody
+from cabinpose.store.recording.messages import Decoder, decode_setup, decode_status
+from cabinpose.store.recording.reader import Place, Recording
 from cabinpose.store.recording.scan import Damage
 from cabinpose.store.recording.schemas import FACTS, RAW, STATUS, SourceStatus
 from cabinpose.store.recording.take import Take
 
 _GAP = 3.0  # median intervals; a longer silence is a gap
 _SHORTEST_GAP_S = 0.1  # bursts of a busy machine are none
+_LOOKED_AT = (TOPICS[SegmentPoses], TOPICS[Markers], FACTS)
+_SUBJECT_BYTES = 1024  # of a record on markers, within which it says whose they are
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,10 @@ class SourceSurvey:
 
 @dataclass(frozen=True)
 class Survey:
-    """A whole recording, from its first sample or counts (which a take begins and ends with) to its last."""
+    """A whole recording, from its first sample or counts (which a take begins and ends with) to its last.
+
+    bodies: whose positions are in it, and what speaks against them.
+    """
 
     path: Path
     take: Take
@@ -68,6 +76,7 @@ class Survey:
     sources: tuple[SourceSurvey, ...]
     topics: tuple[TopicSurvey, ...]
     damage: Damage
+    bodies: tuple[TakenBody, ...] = ()
 
 
 def survey(path: Path) -> Survey:
@@ -79,11 +88,13 @@ def survey(path: Path) -> Survey:
     counted: list[int] = []
     setups: dict[str, list[Mapping[str, Any]]] = {}
     topics: dict[str, tuple[str, list[int], list[int]]] = {}
+    check = TakeCheck()
     with Recording(path, damaged="skip") as recording:
         for place, schema, channel, data in recording.records():
             _, at, sizes = topics.setdefault(channel.topic, (schema, [], []))
             at.append(place.host_ns)
             sizes.append(len(data))
+            _look(check, place, schema, channel.metadata, data)
             if place.topic == RAW:
                 times.setdefault(place.source, []).append(place.host_ns)
                 if place.sequence is not None:
@@ -111,7 +122,23 @@ def survey(path: Path) -> Survey:
         changes = tuple(values for values, _ in groupby(setups.get(name, ())))
         sources.append(replace(of_it, setups=changes))
     listed = tuple(TopicSurvey(t, schema, len(at), sum(sizes), _rate(at)) for t, (schema, at, sizes) in sorted(topics.items()))
-    return Survey(path, take, size, first, (last - first) / 1e9, tuple(sources), listed, damage)
+    return Survey(path, take, size, first, (last - first) / 1e9, tuple(sources), listed, damage, check.bodies())
+
+
+def _look(check: TakeCheck, place: Place, schema: str, about: Mapping[str, str], data: memoryview) -> None:
+    """Give a record on bodies, or facts on them, to what looks at them; of many poses only those that it wants are decoded."""
+    if place.topic not in _LOOKED_AT:
+        return
+    time_ns = place.host_ns if place.device_ns is None else place.device_ns
+    whose = about.get("subject") or bytes(data[:_SUBJECT_BYTES]).partition(b',"names"')[0].decode(errors="replace")
+    if place.topic != FACTS and not check.wants(place.source, place.topic, whose, time_ns):
+        return
+    with suppress(RecordingError):  # what is damaged is counted elsewhere
+        message = Decoder()(place.topic, schema, about, data)
+        if isinstance(message, Facts):
+            check.told(place.source, message)
+        elif isinstance(message, SegmentPoses | Markers):
+            check.keep(place.source, place.topic, whose, message)
 
 
 def _source(

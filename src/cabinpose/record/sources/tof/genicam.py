@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cabinpose.core import Camera, RecordingError, optional_module
+from cabinpose.core import Camera, RecordingError, metres_of, optional_module
 from cabinpose.record.sources.counting import FrameNumbers
 from cabinpose.record.sources.tof.camera import (
     MalformedFrameError,
@@ -37,7 +37,6 @@ from cabinpose.signals import HostClock, ToFFrame
 _WHERE = "pip install harvesters, and name the camera vendor's GenTL producer (.cti) with `producer`"
 _EXPOSURE = re.compile(r"Exp(\d+(?:_\d+)?)Us")
 _COORDINATES = re.compile(r"Coord3D_(C|ABC|ABCY)(8|16s?|32f)$")
-_UNITS_M = {"Millimeter": 0.001, "Meter": 1.0, "Inch": 0.0254}
 _BLOCK_IDS = 65535  # of GigE Vision 1: 16 bits of which 0 is no id
 _MOST_COMPONENTS = 16
 # What is recorded of a camera's set-up, where it has it: the standard's names, Basler's blaze, Lucid's Helios2.
@@ -345,7 +344,7 @@ def _selected(nodes: Any, selector: str, entry: str, name: str) -> Any:
 
 def _scale(nodes: Any) -> _Scale:
     """Steps and offsets of the three coordinates, from the features of the standard; millimetres without offset otherwise."""
-    unit = _UNITS_M.get(str(_value(nodes, "Scan3dDistanceUnit")), 0.001)
+    unit = metres_of(str(_value(nodes, "Scan3dDistanceUnit"))) or 0.001
     scales, offsets = [], []
     for letter in "ABC":
         selected = [_selected(nodes, "Scan3dCoordinateSelector", f"Coordinate{letter}", n) for n in _SCALE_FEATURES]
