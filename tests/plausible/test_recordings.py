@@ -131,7 +131,7 @@ def test_the_unit_of_a_bvh_file_is_recognised_and_told(tmp_path: Path, person: P
 @pytest.mark.parametrize(("true_m", "given_m"), [(0.01, 0.001), (0.01, 1.0), (0.01, 0.0254), (0.001, 0.01), (1.0, 0.01)])
 def test_a_bvh_file_beyond_a_persons_size_is_refused(tmp_path: Path, person: Poses, true_m: float, given_m: float) -> None:
     path = bvh_in(tmp_path / "a.bvh", person[:8], true_m)
-    with pytest.raises(RecordingError, match="the stature by the lengths of limbs is .* possible are 0.45 to 2.6 m") as raised:
+    with pytest.raises(RecordingError, match=r"the stature by the lengths of limbs is .* possible are 0.45 to 2.6 m") as raised:
         imported(path, "bvh", unit_m=given_m)
     assert "unit" in str(raised.value.hint)
     assert not path.with_suffix(".mcap").exists()
@@ -158,7 +158,9 @@ def test_a_bvh_file_with_another_axis_up_is_doubted(tmp_path: Path, person: Pose
     assert "shoulders and head lie along -x from the hips" in told
 
 
-@pytest.mark.parametrize(("scale", "said"), [(1000.0, "if mm were read as m"), (100.0, "if cm were read as m"), (0.001, "if m were read as mm")])
+@pytest.mark.parametrize(
+    ("scale", "said"), [(1000.0, "if mm were read as m"), (100.0, "if cm were read as m"), (0.001, "if m were read as mm")]
+)
 def test_mvnx_positions_in_another_unit_are_refused(tmp_path: Path, person: Poses, scale: float, said: str) -> None:
     assert imported(mvnx_with(tmp_path / "true.mvnx", rows_of(person)), "mvnx")[1] == []
     with pytest.raises(RecordingError, match="the stature by the lengths of limbs is") as raised:
@@ -170,9 +172,7 @@ def test_mvnx_positions_in_another_unit_are_refused(tmp_path: Path, person: Pose
     ("units", "said"),
     [(["m"], "if mm were read as m"), (["cm"], "if mm were read as cm"), (["in"], "stature")],
 )
-def test_c3d_with_another_unit_than_its_points_is_refused(
-    tmp_path: Path, person: Poses, units: list[str], said: str
-) -> None:
+def test_c3d_with_another_unit_than_its_points_is_refused(tmp_path: Path, person: Poses, units: list[str], said: str) -> None:
     made, told = imported(c3d_with(tmp_path / "true.c3d", markers(person[:8]), ["mm"]), "c3d")
     assert told == []
     assert made.bodies[0].unit == "mm: POINT:UNITS"
@@ -203,7 +203,7 @@ def test_markers_of_a_thing_that_are_too_far_or_too_fast_are_refused() -> None:
         list(checked(Path("cap"), (("optical", *row) for row in rows)))
 
     judged(taken(1.0))
-    with pytest.raises(RecordingError, match="its size is .* if cm were read as m or mm were read as m"):
+    with pytest.raises(RecordingError, match=r"its size is .* if cm were read as m or mm were read as m"):
         judged(taken(1000.0))
     with pytest.raises(RecordingError, match="m from the origin: no optical system sees as far"):
         judged(taken(1.0, away=1000.0))
@@ -236,10 +236,15 @@ def test_quaternions_in_xyzw_order_are_refused(tmp_path: Path, person: Poses) ->
         yield "vicon", 0, 0, Facts("subject S07", {"segments": segments})
         for host, device, m in rows:
             if isinstance(m, SegmentPoses):
-                yield "vicon", host, device, SegmentPoses("S07", tuple(f"my {n}" for n in m.names), m.position_m, m.orientation_wxyz)
+                yield (
+                    "vicon",
+                    host,
+                    device,
+                    SegmentPoses("S07", tuple(f"my {n}" for n in m.names), m.position_m, m.orientation_wxyz),
+                )
 
     list(checked(Path("true"), renamed(rows_of(person))))
-    with pytest.raises(RecordingError, match="segments move by .* quaternions are xyzw, and were read as wxyz"):
+    with pytest.raises(RecordingError, match=r"segments move by .* quaternions are xyzw, and were read as wxyz"):
         list(checked(Path("wrong"), renamed(rows_of(person, order=xyzw))))
 
 
@@ -257,7 +262,7 @@ def test_exports_of_what_is_no_rotation_end_in_words(tmp_path: Path, person: Pos
     true = recording_of(tmp_path / "true.mcap", rows_of(person[:4]))
     assert "nan" not in export_recording(true, form, tmp_path / f"true.{form}")[0].read_text()
     wrong = recording_of(tmp_path / "a.mcap", rows_of(person[:4], norm=norm))
-    with pytest.raises(RecordingError, match=f"92 of 92 orientations .* are no rotations: a quaternion has length {norm:g}"):
+    with pytest.raises(RecordingError, match=rf"92 of 92 orientations .* are no rotations: a quaternion has length {norm:g}"):
         export_recording(wrong, form, tmp_path / f"a.{form}")
     assert not (tmp_path / f"a.{form}").exists()
 
@@ -325,7 +330,7 @@ def test_equal_stamps_count_alike_everywhere(tmp_path: Path, person: Poses) -> N
 def test_a_frame_time_in_milliseconds_is_refused(tmp_path: Path, person: Poses) -> None:
     path = bvh_in(tmp_path / "a.bvh", person[:8], 0.01)
     path.write_text(re.sub(r"Frame Time: \S+", "Frame Time: 16.67", path.read_text()))
-    with pytest.raises(RecordingError, match="time stamps give 0.06 frames a second, possible are 0.5") as raised:
+    with pytest.raises(RecordingError, match=r"time stamps give 0.06 frames a second, possible are 0.5") as raised:
         imported(path, "bvh")
     assert "seconds in BVH" in str(raised.value.hint)
 
@@ -338,7 +343,7 @@ def test_a_stream_in_another_unit_of_time_is_refused() -> None:
         return [("force", 0, 0, facts), *(("force", i * step_ns, i * step_ns, Channels(("fz",), np.zeros(1))) for i in range(50))]
 
     list(checked(Path("true.xdf"), stream(20_000_000)))
-    with pytest.raises(RecordingError, match="force: time stamps give 0.05 frames a second, and 50 are declared"):
+    with pytest.raises(RecordingError, match=r"force: time stamps give 0.05 frames a second, and 50 are declared"):
         list(checked(Path("wrong.xdf"), stream(20_000_000_000)))
 
 
@@ -399,7 +404,7 @@ def test_a_real_bvh_file_in_any_unit(real_data: Callable[[str], Path], tmp_path:
     made, told = imported(path, "bvh")
     assert told == []
     assert made.bodies[0].unit.startswith(f"{name}: recognised")
-    with pytest.raises(CabinposeError, match="stature|size"):
+    with pytest.raises(CabinposeError, match=r"stature|size"):
         imported(path, "bvh", unit_m=10 * LENGTHS_M[name])
 
 

@@ -285,7 +285,7 @@ def test_the_commands_mistakes(run: Callable[..., Any], tmp_path: Path) -> None:
         (("--loss", "2"), "--loss: input should be less than or equal to 1, not 2.0"),
         (("--transport", "tcp", "--loss", "0.1"), "tcp neither loses"),
         (("--motion", "dance"), "unknown motion 'dance'"),
-        (("--motion", str(tmp_path / "none.mvnx")), "cannot read"),
+        (("--motion", str(tmp_path / "none.mvnx")), "does not exist"),
         (("--transport", "tcp", "--port", "1"), "cannot stream to"),
         (("--log", str(tmp_path)), "cannot write"),
     ):

@@ -37,8 +37,8 @@ PERSON_M |= {"Neck": (0.0, 0.0, 0.14), "Head": (0.0, 0.0, 0.1)}
 
 
 def moving_person(frames: int, rate_hz: float = 60.0, swing_rad: float = 0.3) -> list[tuple[F64, F64]]:
-    """Positions (23, 3) m and orientations (23, 4) wxyz of MVN's segments of a person whose joints all swing, each in its own way,
-    and who turns once in 6 s: forward kinematics.
+    """Positions (23, 3) m and orientations (23, 4) wxyz of MVN's segments, by forward kinematics: of a person whose joints swing,
+    each in its own way, and who turns once in 6 s.
     """
     rng = np.random.default_rng(1)
     axes, phases = rng.normal(size=(23, 3)), rng.uniform(0, 2 * np.pi, 23)

@@ -1,6 +1,6 @@
 """Whether recorded positions, orientations and time stamps can be those of people: unit, axes, order of quaternions, rates.
 
-What is here looks at numbers alone. Readers of files raise what cannot be and warn of what hardly can; `info` says it of recordings.
+What is here looks at numbers alone. Readers of files raise what cannot be and warn of what hardly can, `info` says it.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from cabinpose.core import CMU_UNIT_M, LENGTHS_M, MVN_JOINTS, units_that_fit
 from cabinpose.signals.recorded import F64
 from cabinpose.signals.rotations import conjugate, product
 
-# What is said beyond which values, each with its reason: lengths in m, speeds in m/s, rates in Hz, `late` in s and as a share of the
-# frames, `missing` as a share of them, `unrigid` over a bone's length, `rate` over the declared one, `trunk` and `bones` as cosines.
+# What is said beyond which values, each with its reason: lengths in m, speeds in m/s, rates in Hz, `late` in s and as a share of
+# the frames, `missing` as one, `unrigid` over a bone's length, `rate` over the declared one, `trunk` and `bones` as cosines.
 LIMITS: Mapping[str, tuple[float, float, str]] = MappingProxyType({
     "stature": (0.45, 2.6, "newborn children are 0.5 m long, the tallest people 2.5 m"),
     "usual_stature": (0.9, 2.25, "a child of three years is 0.95 m tall, one of 100 000 men 2.2 m"),
@@ -87,8 +87,8 @@ class Doubt(NamedTuple):
 class BodyTrack(NamedTuple):
     """Points of somebody or something over F frames that are looked at.
 
-    position_m (F, P, 3), NaN = not seen · orientation_wxyz (F, P, 4), None where points have none · parents: of segments, by name ·
-    speed_m_s: of points, at the moments that are looked at, the 95th of a hundred; NaN where it is not known.
+    position_m (F, P, 3), NaN = not seen · orientation_wxyz (F, P, 4), None where points have none · parents: of segments, by
+    name · speed_m_s: of points, at the moments that are looked at, the 95th of a hundred; NaN where it is not known.
     """
 
     names: tuple[str, ...]
@@ -288,13 +288,11 @@ def _axis_doubts(track: BodyTrack) -> Iterator[Doubt]:
     trunk = trunk[np.isfinite(trunk).all(axis=1)]
     if not len(trunk):
         return
-    for axis, along in (("x", trunk[:, 0]), ("y", trunk[:, 1]), ("z", -trunk[:, 2])):
-        share, sign = max((float((along > LIMITS["trunk"][1]).mean()), ""), (float((-along > LIMITS["trunk"][1]).mean()), "-"))
-        if axis == "z":
-            share, sign = float((along > LIMITS["trunk"][1]).mean()), "-"
+    for axis, along in (("x", trunk[:, 0]), ("-x", -trunk[:, 0]), ("y", trunk[:, 1]), ("-y", -trunk[:, 1]), ("-z", -trunk[:, 2])):
+        share = float((along > LIMITS["trunk"][1]).mean())
         if share > _MOST:
             yield Doubt(
-                f"in {100 * share:.0f} % of the frames shoulders and head lie along {sign}{axis} from the hips, and z is up:"
+                f"in {100 * share:.0f} % of the frames shoulders and head lie along {axis} from the hips, and z is up:"
                 f" {LIMITS['trunk'][2]}",
                 "if nobody lies there, another axis of the file is up (bvh, c3d: --up)",
                 impossible=False,
@@ -403,8 +401,8 @@ def _joints_of(names: Sequence[str], side: str) -> Iterator[tuple[str, int]]:
         if match and (match[1] or match[4])[0] == side:
             plain.setdefault((match[2] or match[3]).replace("_", ""), column)
     for joint, words in _JOINTS.items():
-        if (word := next((word for word in words if word in plain), None)) is not None:
-            yield joint, plain[word]
+        if there := [plain[word] for word in words if word in plain]:
+            yield joint, there[0]
 
 
 def _mean_of_seen(points: F64) -> F64:

@@ -1,4 +1,4 @@
-"""What a whole take says of its bodies and clocks, from its messages as they come: a few frames of each body are kept, and all stamps."""
+"""What a take says of its bodies and clocks, from messages as they come: of each body a few frames are kept, and all stamps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class TakenBody(NamedTuple):
 
 
 @dataclass
-class _Kept:
+class _Looked:
     """Of one subject: all stamps, and every `stride`-th message with the one that followed it, for its speed."""
 
     time_ns: array[int] = field(default_factory=lambda: array("q"))
@@ -66,13 +66,13 @@ class TakeCheck:
     """Looks at messages as they come, by source; `bodies` says what they tell."""
 
     def __init__(self) -> None:
-        self._kept: dict[tuple[str, str, str], _Kept] = {}
+        self._kept: dict[tuple[str, str, str], _Looked] = {}
         self._facts: dict[tuple[str, str], dict[str, object]] = {}
         self._streams: dict[str, array[int]] = {}
 
     def wants(self, source: str, kind: str, key: str, time_ns: int) -> bool:
         """Whether a message of a kind of body is to be given to `keep`; its stamp is counted. key: a subject's own."""
-        return self._kept.setdefault((source, kind, key), _Kept()).wants(time_ns)
+        return self._kept.setdefault((source, kind, key), _Looked()).wants(time_ns)
 
     def keep(self, source: str, kind: str, key: str, message: _Placed) -> None:
         """Keep the message that was wanted."""
@@ -106,7 +106,7 @@ class TakeCheck:
             for doubt in stamp_doubts(times, rate)
         )
 
-    def _body(self, source: str, kind: str, kept: _Kept) -> TakenBody:
+    def _body(self, source: str, kind: str, kept: _Looked) -> TakenBody:
         subject = kept.pairs[0][1].subject
         track = _track(kept, self._parents(source, subject))
         facts = self._about(source, subject)
@@ -133,7 +133,7 @@ class TakeCheck:
         return {str(name): str(parent) for name, parent in named if parent}
 
 
-def _track(kept: _Kept, parents: Mapping[str, str]) -> BodyTrack:
+def _track(kept: _Looked, parents: Mapping[str, str]) -> BodyTrack:
     """The frames that have the points of the first."""
     names = kept.pairs[0][1].names
     pairs = [pair for pair in kept.pairs if pair[1].names == names]

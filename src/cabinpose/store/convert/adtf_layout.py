@@ -45,7 +45,9 @@ class LayoutField(BaseModel):
     type: Type = Field(description="Of its numbers, as ADTF or NumPy call it.")
     size: tuple[int, ...] = Field((), description="Of an array: how many, or rows and columns.")
     gives: Gives | None = Field(None, description="What it is; left out: bytes that are passed over.")
-    unit: str | float | None = Field(None, description="Of lengths m, dm, cm, mm, um, inch, ft or metres a step; of times s, ms, us, ns.")
+    unit: str | float | None = Field(
+        None, description="Of lengths m, dm, cm, mm, um, inch, ft or metres a step; of times s, ms, us, ns."
+    )
     of: tuple[str, ...] = Field((), description="Of positions and orientations: the segments, in their order.")
     order: Literal["wxyz", "xyzw"] = Field("wxyz", description="Of an orientation's four numbers.")
 

@@ -64,7 +64,7 @@ class Bvh:
 
     def in_metres(self, unit_m: float, because: str) -> Bvh:
         """The file with lengths in metres, of one with lengths in its own unit."""
-        joints = tuple(replace(j, offset=tuple(x * unit_m for x in j.offset)) for j in self.joints)
+        joints = tuple(replace(j, offset=(j.offset[0] * unit_m, j.offset[1] * unit_m, j.offset[2] * unit_m)) for j in self.joints)
         scale = [unit_m if channel.endswith("position") else 1.0 for joint in joints for channel in joint.channels]
         return replace(self, joints=joints, motion=self.motion * scale, unit_m=unit_m, unit_because=because)
 

@@ -64,8 +64,8 @@ def read_c3d(
     Warns
     -----
     UserWarning
-        Where the markers contradict the axis that the file names, nothing tells the axis, the file does not say its unit, or frames
-        are missing at the end.
+        Where the markers contradict the axis that the file names, nothing tells the axis, the file does not say its unit, or
+        frames are missing at the end.
 
     Raises
     ------

@@ -27,8 +27,8 @@ M = TypeVar("M", SegmentPoses, Markers, SensorReadings)
 def motion_rows(path: Path, source: str | None = None) -> Iterator[Row]:
     """The messages of a recording (.mcap; of one source, None: of all), or of an MVNX, C3D or BVH file.
 
-    Files are judged by `rows.checked`. Raises RecordingError for another file and for a source that is not there, RecordingError or
-    MocapError for a damaged one.
+    Files are judged by `rows.checked`. Raises RecordingError for another file and for a source that is not there, RecordingError
+    or MocapError for a damaged one.
     """
     suffix = path.suffix.lower()
     if suffix != ".mcap" and suffix not in _READERS:

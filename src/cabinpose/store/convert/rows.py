@@ -88,6 +88,7 @@ def check_rotations(whose: str, orientation_wxyz: F64) -> None:
     odd = (norm < low) | (norm > high)  # False for NaN
     if odd.any():
         raise RecordingError(
-            f"{int(odd.sum())} of {odd.size} orientations of {whose} are no rotations: a quaternion has length {norm[odd][0]:.3g} ({why})",
+            f"{int(odd.sum())} of {odd.size} orientations of {whose} are no rotations:"
+            f" a quaternion has length {norm[odd][0]:.3g} ({why})",
             hint="record or export it again from where it comes; what is not known is nan",
         )
