@@ -240,22 +240,36 @@ def test_joints_that_are_of_no_set_are_looked_at_as_pixels(dataset: xr.Dataset) 
     assert any("outside of the image" in warning for warning in label_warnings(wrong))
 
 
+def coco_file(path: Path, scale: tuple[float, float] = (1.0, 1.0), order: str = "xywh") -> Path:
+    """Keypoints of six standing people in images of 160x120 pixels, divided by a scale, and boxes in an order."""
+    standing = np.array([(60 + 40 * i, 20 + 15 * j) for j in range(6) for i in (1, 0)], float)  # left is on the image's right
+    people = []
+    for n in range(6):
+        points = standing + (3 * n - 9, n)
+        (x, y), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+        known = {
+            "x": x,
+            "y": y,
+            "w": right - x,
+            "h": bottom - y,
+            "r": right,
+            "b": bottom,
+            "m": (x + right) / 2,
+            "n": (y + bottom) / 2,
+        }
+        flat = [float(number) for u, v in points / scale for number in (u, v, 2)]
+        box = [known[letter] for letter in order]
+        people.append({"id": n, "image_id": n, "category_id": 1, "bbox": box, "keypoints": flat})
+    images = [{"id": n, "file_name": f"{n}.png", "width": 160, "height": 120} for n in range(6)]
+    names = [{"id": 1, "name": "person", "keypoints": list(COCO)}]
+    path.write_text(json.dumps({"images": images, "annotations": people, "categories": names}))
+    return path
+
+
 @pytest.mark.parametrize("wrong", [False, True], ids=("pixels", "normalised"))
 def test_import_and_info_say_it(run: Callable[..., Any], tmp_path: Path, wrong: bool) -> None:
-    """COCO keypoints of three people, as text and in --json; true pixels beside."""
-    standing = np.array([(60 + 40 * i, 20 + 15 * j) for j in range(6) for i in (1, 0)], float)  # left is on the image's right
-    size = (160, 120)
-    people = [
-        {
-            "id": n, "image_id": n, "category_id": 1, "bbox": [59, 19, 43, 77],
-            "keypoints": [x for u, v in (standing + n) / (size if wrong else 1) for x in (u, v, 2)],
-        }
-        for n in (1, 2, 3)
-    ]  # fmt: skip
-    images = [{"id": n, "file_name": f"{n}.png", "width": size[0], "height": size[1]} for n in (1, 2, 3)]
-    names = [{"id": 1, "name": "person", "keypoints": list(COCO)}]
-    file, out = tmp_path / "coco.json", tmp_path / "out"
-    file.write_text(json.dumps({"images": images, "annotations": people, "categories": names}))
+    """COCO keypoints, as text and in --json; true pixels beside. Boxes are right in pixels."""
+    file, out = coco_file(tmp_path / "coco.json", (160, 120) if wrong else (1, 1)), tmp_path / "out"
     said = "normalised to the image's size?"
     imported = run("import", "coco", file, "--out", out)
     as_json = run("import", "coco", file, "--out", tmp_path / "again", "--json")
@@ -267,3 +281,20 @@ def test_import_and_info_say_it(run: Callable[..., Any], tmp_path: Path, wrong: 
     for each in (as_json, data):
         told = json.loads(each.out).get("warnings", [])
         assert [said in line for line in told] == [True] * wrong
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ("xywh", ""),
+        ("xyrb", "as left, top, right, bottom"),
+        ("yxhw", "as y, x, height, width"),
+        ("yxbr", "as top, left, bottom, right"),
+        ("mnwh", "as middle x, middle y, width, height"),
+    ],
+)
+def test_boxes_in_another_order_are_told(run: Callable[..., Any], tmp_path: Path, order: str, said: str) -> None:
+    done = run("import", "coco", coco_file(tmp_path / "coco.json", order=order), "--out", tmp_path / "out")
+    assert done.code == 0
+    assert done.err.count("boxes as x, y, width, height overlap with their people by") == bool(said)
+    assert said in done.err

@@ -329,3 +329,12 @@ def test_masks_of_run_lengths(tmp_path: Path) -> None:
     data["annotations"] = [person(1, 10, segmentation=RUN)]
     with pytest.raises(DatasetError, match="a mask of image 10 has the size"):
         imported(written(tmp_path / "misfit", data), tmp_path / "out3")
+
+
+@pytest.mark.parametrize("box", [[], [1, 2, 3], [1, 2, "3", 4], "all", None])
+def test_a_box_that_is_none_is_left_out(tmp_path: Path, box: Any) -> None:
+    content = by_hand()
+    content["annotations"] = [person(n, 30, 5.0 * n, bbox=box) for n in range(8)]
+    path = tmp_path / "coco.json"
+    path.write_text(json.dumps(content))
+    assert (imported(path, tmp_path / "out").subject.values != "").sum() == 8

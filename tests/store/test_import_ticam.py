@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image
-from ticam_folder import PEOPLE, save, ticam_folder
+from ticam_folder import PEOPLE, frame, save, ticam_folder
 
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.scene.labels import LABEL_ID, LABELS, RGB, ticam_class
@@ -184,3 +185,31 @@ def test_file_is_16_bits(tmp_path: Path) -> None:
     """What the tests read is what TICaM has: PNGs of 16 bits."""
     with Image.open(next(ticam_folder(tmp_path / "ticam").rglob("*_DEPTH.png"))) as image:
         assert image.mode == "I;16"
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ((0, 1, 2, 3), None),
+        ((1, 0, 3, 2), "as top, left, bottom, right"),
+        ((0, 1, 4, 5), "as x, y, width, height"),
+    ],
+    ids=("right", "y before x", "sizes"),
+)
+def test_boxes_in_another_order(tmp_path: Path, order: tuple[int, ...], said: str | None) -> None:
+    """Six frames of a driver alone, whose pixels are known."""
+    root = ticam_folder(tmp_path / "ticam")
+    labels = root / "Train_labels" / "Train_Labels"
+    rows = [row for number in range(30, 36) for row in frame(root / "Train_images", labels, "one/p01", number, {"driver": 1})]
+    left, top, right, bottom = PEOPLE["driver"]
+    edges = [(left, top, right, bottom, right - left, bottom - top)[i] for i in order]
+    file = labels / "one/p01/boxes_2d_depth.csv"
+    written = [",".join([*row.split(",")[:2], *map(str, edges), "0"]) for row in rows]
+    file.write_text(file.read_text() + "\n".join(written) + "\n")
+    if said is None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            imported(root, tmp_path / "out")
+    else:
+        with pytest.warns(UserWarning, match=f"boxes as left, top, right, bottom overlap .* {said}"):
+            imported(root, tmp_path / "out")

@@ -24,16 +24,24 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
-import ijson
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import CABINPOSE, Camera, DatasetError, Visibility
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, Keypoints, LabelFormat, NoOptions
 from cabinpose.store.convert.pictures import PICTURES, check_kind, pictured
-from cabinpose.store.convert.reading import Origin, depth_ticks_of_mm, given_camera, make_manifest, put_camera, read_image
+from cabinpose.store.convert.reading import (
+    Origin,
+    depth_ticks_of_mm,
+    given_camera,
+    json_elements,
+    make_manifest,
+    put_camera,
+    read_image,
+    warn_of_boxes,
+)
 from cabinpose.store.frames import PersonInFrame, dataset_skeleton, file_stem, people, require_variables
 from cabinpose.store.schema import Manifest
 from cabinpose.store.source import UNKNOWN, Report, Source, blank_frame
@@ -47,9 +55,7 @@ FLAG[Visibility.VISIBLE] = 2
 _STATES = np.array([Visibility.ABSENT, Visibility.OCCLUDED, Visibility.VISIBLE], np.uint8)  # by COCO's v
 _OURS = {name: name for name in CABINPOSE.index} | {theirs: ours for ours, theirs in CABINPOSE.maps["coco"].items()}
 _MOST_INSTANCES = 254  # of a uint8 that has 0 for nobody
-_DEEPEST = 1000  # brackets within each other; COCO has five. Those in names count, too
-_STEPS = np.zeros(256, np.int8)  # in depth, by byte
-_STEPS[list(b"[{")], _STEPS[list(b"]}")] = 1, -1
+_KEYS = ("info", "licenses.item", "categories.item", "images.item", "annotations.item")  # in the order in which they are read
 _CAMERA = ("camera_k", "camera_dist", "vehicle_from_camera")
 _IMAGE_KEYS = ("id", "file_name", "width", "height", "car", "pov", *_CAMERA)  # what is kept of an image
 CocoImages = Literal["depth8", "amplitude8", "rgb", "depth16"]
@@ -158,7 +164,11 @@ COCO_LABELS = CocoLabelsFormat()
 
 
 class _Person(NamedTuple):
-    """One annotation. keypoints: (K, 3) u, v px and COCO's visibility · counts: run lengths of the mask, None without."""
+    """One annotation.
+
+    keypoints: (K, 3) u, v px and COCO's visibility · counts: run lengths of the mask, None without · box: (4,) as it stands
+    there, None without.
+    """
 
     category: int
     keypoints: NDArray[np.float32]
@@ -167,6 +177,7 @@ class _Person(NamedTuple):
     action: str
     mask_shape: tuple[int, int] | None
     counts: NDArray[np.int32] | None
+    box: NDArray[np.float32] | None
 
 
 @dataclass
@@ -300,7 +311,7 @@ def _images_beside(annotations: Path) -> Path | None:
 
 def _read_file(path: Path) -> _File:
     file = _File(path)
-    for key, element in _elements(path):
+    for key, element in json_elements(path, _KEYS, hint=_HINT):
         try:
             if key == "images.item":
                 _add_image(file, element)
@@ -320,32 +331,6 @@ def _read_file(path: Path) -> _File:
         raise DatasetError(f"{path} has no category with keypoints", hint="give a file of keypoints, not of boxes or captions")
     _check_people(file)
     return file
-
-
-def _elements(path: Path) -> Iterator[tuple[str, Any]]:
-    """The elements of the lists of a COCO file, one in memory at a time, with what `ijson` calls their prefix."""
-    try:
-        with path.open("rb") as file:
-            _check_depth(path, file)
-            for key in ("info", "licenses.item", "categories.item", "images.item", "annotations.item"):
-                file.seek(0)
-                for element in ijson.items(file, key, use_float=True):
-                    yield key, element
-    except (OSError, ijson.JSONError) as error:
-        raise DatasetError(
-            f"{path} is no whole JSON object ({str(error).splitlines()[0].strip()})",
-            hint="it may be cut short; copy it again, or give another file",
-        ) from error
-
-
-def _check_depth(path: Path, file: BinaryIO) -> None:
-    """Raise DatasetError where brackets nest deep: ijson's memory grows with the square of the depth."""
-    depth = 0
-    while block := file.read(1 << 14):
-        depths = np.cumsum(_STEPS[np.frombuffer(block, np.uint8)], dtype=np.int32)
-        if depth + int(depths.max()) > _DEEPEST:
-            raise DatasetError(f"{path} is nested too deep", hint=_HINT)
-        depth += int(depths[-1])
 
 
 def _add_image(file: _File, element: Mapping[str, Any]) -> None:
@@ -380,8 +365,16 @@ def _add_person(file: _File, element: Mapping[str, Any]) -> None:
             str(element.get("action", UNKNOWN)),
             shape,
             counts,
+            _box(element.get("bbox")),
         )
     )
+
+
+def _box(given: Any) -> NDArray[np.float32] | None:
+    """Four finite numbers; nothing else of a box is read, and one that is none is as good as no box."""
+    numbers = given if isinstance(given, list) and all(isinstance(each, int | float) for each in given) else []
+    box = np.array(numbers, np.float32)
+    return box if box.shape == (4,) and np.isfinite(box).all() else None
 
 
 def _slot(element: Mapping[str, Any]) -> str | None:
@@ -412,6 +405,10 @@ def _check_people(file: _File) -> None:
         if len(set(slots)) < len(slots):
             raise DatasetError(f"{file.path}: two people of image {image} are in one slot", hint="give each a slot of its own")
         group[:] = [person for person in group if person.category in human]  # animals have keypoints too
+    boxed = [person for group in file.people.values() for person in group if person.box is not None]
+    known = [person.keypoints[person.keypoints[:, 2] > 0, :2] for person in boxed]
+    spans = np.array([[*points.min(axis=0), *points.max(axis=0)] for points in known]).reshape(-1, 4)
+    warn_of_boxes(file.path, "x, y, width, height", np.array([person.box for person in boxed]).reshape(-1, 4), spans)
 
 
 # ----------------------------------------------------------------------------------------------------------- frames

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from math import radians
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
+import ijson
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -23,6 +26,20 @@ from cabinpose.store.source import UNKNOWN
 _MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
 _LARGEST_PX = 50_000_000  # of an image: every frame is filled up to the largest
 _DENSEST = 1032 * 8  # pixels that a byte of a PNG can stand for: deflate's best, of 1 bit each
+_FEWEST_BOXES = 5  # from which their order is told
+_BETTER, _FITS = 2.0, 0.3  # so many times, and so far, boxes overlap with their people in the order that they are in
+_ORDERS: dict[str, Callable[..., tuple[Any, Any, Any, Any]]] = {  # left, top, right and bottom by the order of a box's numbers
+    "x, y, width, height": lambda x, y, width, height: (x, y, x + width, y + height),
+    "left, top, right, bottom": lambda left, top, right, bottom: (left, top, right, bottom),
+    "y, x, height, width": lambda y, x, height, width: (x, y, x + width, y + height),
+    "top, left, bottom, right": lambda top, left, bottom, right: (left, top, right, bottom),
+    "middle x, middle y, width, height": lambda x, y, width, height: (
+        x - width / 2, y - height / 2, x + width / 2, y + height / 2,
+    ),
+}  # fmt: skip
+_DEEPEST = 1000  # brackets within each other; COCO has five. Those in names count, too
+_STEPS = np.zeros(256, np.int8)  # in depth, by byte
+_STEPS[list(b"[{")], _STEPS[list(b"]}")] = 1, -1
 _FRAMES_PER_PART = 10_000  # without images, which are what makes a part large
 
 
@@ -160,6 +177,39 @@ def check_projection(
         raise DatasetError(f"{path}: {what[0]} lie {np.nanmedian(apart):.0f} px from the projection of {what[1]}", hint=hint)
 
 
+def warn_of_boxes(path: Path, stated: str, boxes: NDArray[np.floating], people: NDArray[np.floating]) -> None:
+    """Warn where boxes fit whom they are of much better in another order of their numbers.
+
+    Parameters
+    ----------
+    path
+        The file that they are from.
+    stated
+        The order that its format has, one of `_ORDERS`.
+    boxes : (N, 4)
+        As they stand there, px.
+    people : (N, 4)
+        Left, top, right and bottom of what else is known of each, keypoints or pixels.
+    """
+    if len(boxes) < _FEWEST_BOXES:
+        return
+    overlaps = {order: float(np.median(_overlap(np.stack(edges(*boxes.T)), people.T))) for order, edges in _ORDERS.items()}
+    best = max(overlaps, key=lambda order: overlaps[order])
+    if overlaps[best] > max(_FITS, _BETTER * overlaps[stated]):
+        warnings.warn(
+            f"{path}: boxes as {stated} overlap with their people by {100 * overlaps[stated]:.0f} % (the median of {len(boxes)}),"
+            f" and by {100 * overlaps[best]:.0f} % as {best}: they are in another order than the format's",
+            stacklevel=2,
+        )
+
+
+def _overlap(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(N,) intersection over union of boxes (4, N), left, top, right and bottom."""
+    shared = np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0.0).prod(axis=0)
+    both = np.maximum(a[2:] - a[:2], 0.0).prod(axis=0) + np.maximum(b[2:] - b[:2], 0.0).prod(axis=0)
+    return np.asarray(shared / np.maximum(both - shared, 1e-9))
+
+
 def read_image(path: Path, *, floats: bool = False) -> NDArray[Any]:
     """A PNG, JPEG or TIFF as it stands: (H, W) uint8 or uint16, or (H, W, 3) uint8 in RGB. Raises `DatasetError`.
 
@@ -199,6 +249,32 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"cannot read {path}: {error}", hint="it may be missing or cut short; copy it again") from error
+
+
+def json_elements(path: Path, keys: Sequence[str], *, hint: str) -> Iterator[tuple[str, Any]]:
+    """What a large JSON file has under some keys, as `ijson` calls them, one by one; one element is in memory at a time."""
+    try:
+        with path.open("rb") as file:
+            _check_depth(path, file, hint)
+            for key in keys:
+                file.seek(0)
+                for element in ijson.items(file, key, use_float=True):
+                    yield key, element
+    except (OSError, ijson.JSONError) as error:
+        raise DatasetError(
+            f"{path} is no whole JSON object ({str(error).splitlines()[0].strip()})",
+            hint="it may be cut short; copy it again, or give another file",
+        ) from error
+
+
+def _check_depth(path: Path, file: BinaryIO, hint: str) -> None:
+    """Raise DatasetError where brackets nest deep: ijson's memory grows with the square of the depth."""
+    depth = 0
+    while block := file.read(1 << 14):
+        depths = np.cumsum(_STEPS[np.frombuffer(block, np.uint8)], dtype=np.int32)
+        if depth + int(depths.max()) > _DEEPEST:
+            raise DatasetError(f"{path} is nested too deep", hint=hint)
+        depth += int(depths[-1])
 
 
 def depth_ticks_of_mm(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:

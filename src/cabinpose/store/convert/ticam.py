@@ -15,6 +15,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import radians, tan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,12 +34,14 @@ from cabinpose.store.convert.reading import (
     put_camera,
     read_grey,
     read_image,
+    warn_of_boxes,
 )
 from cabinpose.store.schema import LabelRow, Manifest
 from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 FIELD_DEG = 105.0  # of the undistorted images, across and down (Katrolia et al. 2021, section 3)
 CLIPPED_MM = 2550
+_BOXES_LOOKED_AT = 64
 _FARTHEST_PX = 1 << 20  # that the edge of a box may lie outside of its image
 _FRAME_NS = 1e9 / 30
 _PLACES = ("driver", "front_passenger")
@@ -135,6 +138,8 @@ class TicamFormat(DatasetFormat):
         camera = given_camera(options, size) or Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
 
         def frames() -> Iterator[dict[str, Any]]:
+            if labels is not None:
+                _check_boxes(labels, sequences, size)
             for number, sequence in enumerate(sequences):
                 for index in sequence.depth:
                     frame = blank_frame(manifest)
@@ -278,6 +283,23 @@ def _put_people(frame: dict[str, Any], sequence: _Sequence, index: int, manifest
         frame["child"][place] = bool(mine) and all(box.number != _ADULT for box in mine)
         beside = {CLASSES[b.number][1] for b in boxes if b not in people and _side(b, manifest.width) == place}
         frame["things"][place] = ",".join(sorted(beside))
+
+
+def _check_boxes(labels: Path, sequences: Sequence[_Sequence], size: tuple[int, int]) -> None:
+    """Warn where boxes of people who are alone are not about their pixels."""
+    with_people = (
+        (sequence.masks[index], [box for box in sequence.boxes.get(index, ()) if CLASSES[box.number][1] == "person"])
+        for sequence in sequences
+        for index in sequence.depth
+    )
+    boxes: list[tuple[int, ...]] = []
+    edges: list[tuple[int, ...]] = []
+    for file, people in islice((each for each in with_people if len(each[1]) == 1), _BOXES_LOOKED_AT):
+        v, u = np.nonzero(_OURS[read_grey(file, np.uint8, size).clip(0, len(CLASSES) - 1)] == _ID["person"])
+        if len(v):
+            boxes.append(people[0][1:])
+            edges.append((u.min(), v.min(), u.max(), v.max()))
+    warn_of_boxes(labels, "left, top, right, bottom", np.array(boxes).reshape(-1, 4), np.array(edges).reshape(-1, 4))
 
 
 def _side(box: _Box, width: int) -> int:
