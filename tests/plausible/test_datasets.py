@@ -8,6 +8,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cabinpose.app.cli import main
@@ -66,20 +67,53 @@ def test_a_part_copied_over_its_neighbour_is_refused(mine: Path) -> None:
 
 
 def imported(folder: Path, first: int) -> Path:
-    """An import of frames from `first` on: the manifest does not say which."""
-    manifest = sphere_people.manifest(**SIZE)
+    """An import of frames from `first` on: the configuration does not say which. Depths are noise, which takes equal space."""
+    manifest, rng = sphere_people.manifest(**SIZE), np.random.Generator(np.random.Philox(key=first))
     frames = [sphere_people.frame(first + i, manifest) for i in range(3)]
+    for frame in frames:
+        frame["depth"] = rng.integers(5_000, 50_000, frame["depth"].shape, np.uint16)
     return import_source(Source(Path("theirs"), manifest, partial(iter, frames)), folder)
 
 
 @pytest.mark.parametrize("part", [0, 1, 2])
 def test_a_part_of_another_import_with_the_same_settings_is_refused(tmp_path: Path, part: int) -> None:
     mine, other = imported(tmp_path / "mine", 0), imported(tmp_path / "other", 5)
-    assert (mine / "dataset.yaml").read_bytes() == (other / "dataset.yaml").read_bytes()
+    assert read_manifest(mine).parts_belong_to == read_manifest(other).parts_belong_to
     assert open_dataset(mine).sizes["frame"] == 3
     put(part, other, mine)
     with pytest.raises(DatasetError, match=r"do not belong together: part-0000\d\.zarr was made after a part"):
         open_dataset(mine)
+
+
+def test_the_parts_of_another_import_with_the_same_settings_are_refused(tmp_path: Path) -> None:
+    mine, same, other = imported(tmp_path / "mine", 0), imported(tmp_path / "same", 0), imported(tmp_path / "other", 5)
+    assert (mine / "dataset.yaml").read_bytes() == (same / "dataset.yaml").read_bytes() != (other / "dataset.yaml").read_bytes()
+    for part in range(3):
+        put(part, same, mine)
+    assert open_dataset(mine).sizes["frame"] == 3
+    for part in range(3):
+        put(part, other, mine)
+    with pytest.raises(DatasetError, match="are of another import with the same settings"):
+        open_dataset(mine)
+
+
+@pytest.mark.parametrize(("array", "file"), [("depth", "c/0/0/0"), ("sync_ns", "c/0")])
+def test_a_file_of_another_dataset_within_a_part_is_refused_once_it_is_read(
+    tmp_path: Path, array: str, file: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of equal size, and with a right checksum of its own."""
+    mine, other = imported(tmp_path / "mine", 0), imported(tmp_path / "other", 5)
+    assert main(["info", str(mine), "--verify"]) == 0
+    old, new = (folder / "part-00001.zarr" / array / file for folder in (mine, other))
+    assert old.stat().st_size == new.stat().st_size
+    assert old.read_bytes() != new.read_bytes()
+    shutil.copy(new, old)
+    opened = open_dataset(mine)
+    with pytest.raises(DatasetError, match=rf"part-00001\.zarr is damaged: cannot read {array} .*of another part or dataset"):
+        opened.variables[array].load()
+    assert opened.variables["joints_3d"].load().size
+    assert main(["info", str(mine), "--verify"]) == 2
+    assert "of another part or dataset" in capsys.readouterr().err
 
 
 def test_parts_made_apart_extended_or_with_another_licence_fit_together(true: Path, mine: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import xarray as xr
 from cabinpose.core import Camera, ConfigError, DriveSide, Predictor, Segmenter, Visibility, camera_from, require_images
 from cabinpose.estimate import JointPredictor, LiftedPredictor, Lifter, lifted, open_model
 from cabinpose.estimate.remote import SCHEME, open_predictor
-from cabinpose.evaluate import check_predictions, model_name
+from cabinpose.evaluate import check_predictions, model_name, trained_ranges
 from cabinpose.store import Predictions, image_names, read_predictions
 
 TRUTH = "truth"
@@ -107,6 +107,7 @@ def _fed(lifting: Lifter, dataset: xr.Dataset, source: str, dataset_names: Seque
     return Predictions(
         **vars(found), frame=numbers, persons=base.persons,
         joints=base.joints, model=f"{base.model}+{lifting.name}", skeleton=base.skeleton, dataset=base.dataset,
+        trained_on=f"{base.trained_on} {trained_ranges(lifting, dataset)}".strip(),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ import xarray as xr
 from cabinpose.core import ConfigError, DatasetError
 from cabinpose.estimate import Frames, FrameSpec, GeneratedFrames, StoredFrames, TrainConfig, fits_memory, joined
 from cabinpose.store import dataset_skeleton, held_out, read_mapping, read_splits, split_datasets, validated
-from cabinpose.synth import FrameMaker, SynthConfig, person_slots, preflight
+from cabinpose.synth import FrameMaker, SynthConfig, build_manifest, person_slots, preflight
 
 _NAMES = 5  # of subjects in a message
 _RANDOM_PERSON = re.compile(r"R\d{4,}")  # the names of random people
@@ -128,7 +128,8 @@ def generated_frames(config: SynthConfig, spec: FrameSpec, frames: int, seed: in
         raise ConfigError(f"the scenes have no place {', '.join(lacking)}", hint=f"set slots to some of: {', '.join(persons)}")
     if spec.rgb and (config.images is None or "rgb" not in config.images.variables):
         raise ConfigError("the scenes have no rgb", hint="add images: {variables: [rgb]} to the file of --synth")
-    training = GeneratedFrames(_Maker(config, seed, pictures=spec.rgb), frames, spec, persons)
+    same = build_manifest(config, frames, seed).parts_belong_to  # of a dataset of these scenes
+    training = GeneratedFrames(_Maker(config, seed, pictures=spec.rgb), frames, spec, persons, same)
     return training, GeneratedFrames(_Maker(config, seed + 1, pictures=spec.rgb), max(frames // 10, 1), spec, persons)
 
 

@@ -128,6 +128,8 @@ class Predictor(Protocol):
     """A detector of body pose.
 
     One that reads other images than depth, and amplitude where there is one, has an attribute `images`: their names, of `IMAGES`.
+    One that knows what it was trained on has `trained_on`: ranges of frames (`store.frame_ranges`) by the attribute `frames_id`
+    of their dataset.
     """
 
     @property

@@ -47,10 +47,12 @@ class ArrayModel(TrainedModel):
 
 
 def write_arrays(
-    path: Path, method: str, settings: BaseModel, arrays: Mapping[str, NDArray[Any]], *, name: str, card: Mapping[str, Any]
-) -> None:
-    """Write a model; the file gets its name when it is whole. The same model is the same bytes."""
-    rewrite(path, {"name": name, "method": method, "config": settings.model_dump(mode="json"), "card": dict(card)}, arrays)
+    path: Path, method: str, settings: BaseModel, arrays: Mapping[str, NDArray[Any]], *, name: str, card: Mapping[str, Any],
+    **more: Any,
+) -> None:  # fmt: skip
+    """Write a model, with `more` in its metadata; the file gets its name when it is whole. The same model is the same bytes."""
+    known = {"name": name, "method": method, "config": settings.model_dump(mode="json"), "card": dict(card)}
+    rewrite(path, known | more, arrays)
 
 
 def rewrite(path: Path, metadata: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -19,7 +19,7 @@ from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility, camera_from
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import TICK_M, InputView, Kept, channels_first
-from cabinpose.store import joint_dimension, joints_variable
+from cabinpose.store import frame_ranges, joint_dimension, joints_variable, merged_ranges
 
 _IMAGES = {"depth": 2, "amplitude": 2, "labels": 1, "rgb": 3}  # bytes of a pixel as it is kept
 _SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
@@ -67,6 +67,7 @@ class StoredFrames(Dataset[Kept]):
         Raises DatasetError for a dataset without frames, of another skeleton, or without one of the places or images.
         """
         self.spec = spec
+        self.trained_on = {str(i): frame_ranges(dataset["frame"].values) for i in [dataset.attrs.get("frames_id")] if i}
         self._dataset = dataset
         self._rows = slot_rows(dataset, spec)
         if keep is None:
@@ -94,6 +95,15 @@ def joined(frames: Sequence[Frames]) -> Frames:
     return ConcatDataset(frames)
 
 
+def trained_on(frames: Frames | Sequence[Kept], epochs: int) -> dict[str, str]:
+    """Ranges of the frames that so many epochs learn from, by the `frames_id` of their datasets, as far as it is known."""
+    if isinstance(frames, ConcatDataset):
+        return merged_ranges(*(trained_on(each, epochs) for each in frames.datasets))
+    if isinstance(frames, GeneratedFrames):
+        return {frames.frames_id: f"0-{epochs * frames.count - 1}"} if frames.frames_id else {}
+    return dict(getattr(frames, "trained_on", {}))
+
+
 def fits_memory(frames: int, spec: FrameSpec) -> bool:
     """Whether that many frames, as they are kept, fill less than half of the memory that is free."""
     bytes_per_pixel = sum(size for name, size in _IMAGES.items() if getattr(spec, name))
@@ -103,21 +113,23 @@ def fits_memory(frames: int, spec: FrameSpec) -> bool:
 class GeneratedFrames(IterableDataset[Kept]):
     """Frames that are made while training: `make(index)` gives the variables of the dataset standard."""
 
-    def __init__(self, make: Callable[[int], Mapping[str, Any]], count: int, spec: FrameSpec, persons: Sequence[str]) -> None:
-        """`count` frames an epoch, other ones in each; `persons`: the places of the frames."""
-        self._make, self._count, self._spec = make, count, spec
+    def __init__(
+        self, make: Callable[[int], Mapping[str, Any]], count: int, spec: FrameSpec, persons: Sequence[str], frames_id: str = ""
+    ) -> None:
+        """`count` frames an epoch, other ones in each; `persons`: the places of the frames; `frames_id`: of a dataset of them."""
+        self._make, self.count, self._spec, self.frames_id = make, count, spec, frames_id
         self._rows = [list(persons).index(slot) for slot in spec.slots]
         self.epoch = 0
         self.rank, self.ranks = 0, 1  # which share of an epoch's frames this process makes, and how many share them
 
     def __len__(self) -> int:
-        return self._count // self.ranks
+        return self.count // self.ranks
 
     def __iter__(self) -> Iterator[Kept]:
         worker = torch.utils.data.get_worker_info()
         mine, workers = (worker.id, worker.num_workers) if worker else (0, 1)
         first, step = self.rank + self.ranks * mine, self.ranks * workers
-        start = self.epoch * self._count
+        start = self.epoch * self.count
         for index in range(start + first, start + len(self) * self.ranks, step):
             yield view_frame(self._make(index), self._spec, self._rows)
 

@@ -31,6 +31,7 @@ class JointPredictor:
         """model: of a method whose task is joints."""
         self.model, self.config = model, model.config
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
+        self.trained_on = model.trained_on
         self._warned: set[str] = set()  # of what
         self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, Predictor, images_of
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of
+from cabinpose.store import merged_ranges
 
 
 class Lifter:
@@ -17,6 +18,7 @@ class Lifter:
     def __init__(self, model: TrainedModel) -> None:
         """model: of a method whose task is lift."""
         self.model, self.config, self.name, self.joints = model, model.config, model.name, model.joints
+        self.trained_on = model.trained_on
 
     def lift(self, directions: NDArray[np.floating]) -> NDArray[np.float64]:
         """Joints (N, J, 3) in the camera frame (m) of N people from directions (N, J, 2): x/z and y/z, NaN where unknown.
@@ -39,6 +41,7 @@ class LiftedPredictor:
         """Raises ConfigError where base and lifting have no joint in common."""
         self.base, self._lifting = base, lifting
         self.name, self.persons, self.joints = f"{base.name}+{lifting.name}", base.persons, base.joints
+        self.trained_on = merged_ranges(getattr(base, "trained_on", {}), lifting.trained_on)
         _common(base.joints, lifting, base.name)
 
     @property

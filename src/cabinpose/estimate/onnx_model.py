@@ -21,9 +21,11 @@ from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, channels_first
 from cabinpose.estimate.methods import Method, NetworkMethod, method_of
+from cabinpose.store import in_ranges
 
 METADATA_KEY = "cabinpose"
 DRIVE_SIDE = "drive_side"  # in the metadata
+TRAINED_ON = "trained_on"  # in the metadata, and in checkpoints: ranges of frames by the datasets' `frames_id`
 BATCH = 16  # frames that go through a network at a time
 
 
@@ -40,6 +42,7 @@ class TrainedModel(ABC):
             self.metadata: dict[str, Any] = json.loads(text)
             self.method = method_of(path, str(self.metadata["method"]))
             self.config = self.method.settings(self.metadata["config"])
+            self.trained_on = _checked_ranges(self.metadata.get(TRAINED_ON, {}))
             self.expected_error = check_expected_error(self.metadata.get(EXPECTED_ERROR, {}).get("joints", {}))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, ConfigError) as error:
             raise ModelError(f"{path} does not say what it is: {error}", hint=f"{self._again} with this version") from error
@@ -57,7 +60,8 @@ class TrainedModel(ABC):
 
     def describe(self) -> dict[str, Any]:
         """What the file says of itself, as plain data: name, file, bytes, method, task, view, inputs, persons, joints, parts,
-        mirrored, drive_side, settings, expected_error (where its confidence was calibrated: data, frames, joints), card.
+        mirrored, drive_side, settings, expected_error (where its confidence was calibrated: data, frames, joints), trained_on
+        (ranges of frames by the `frames_id` of their datasets), card.
         """
         return {
             "name": self.name,
@@ -74,6 +78,7 @@ class TrainedModel(ABC):
             DRIVE_SIDE: self.drive_side,
             "settings": self.metadata["config"],
             EXPECTED_ERROR: self.metadata.get(EXPECTED_ERROR, {}),
+            TRAINED_ON: self.trained_on,
             "card": self.metadata.get("card", {}),
         }
 
@@ -119,6 +124,14 @@ class OnnxModel(TrainedModel):
             self._told = True
             warnings.warn(f"{self.path} answers with values that are not numbers (NaN)", stacklevel=2)
         return dict(zip(self._outputs, values, strict=True))
+
+
+def _checked_ranges(trained_on: Mapping[Any, Any]) -> dict[str, str]:
+    """Ranges of frames by dataset; ValueError where they are none."""
+    ranges = {str(dataset): str(frames) for dataset, frames in trained_on.items()}
+    for frames in ranges.values():
+        in_ranges(frames, np.zeros(0, np.int64))
+    return ranges
 
 
 def existing(path: Path | str) -> Path:

@@ -24,7 +24,7 @@ class PartSegmenter:
 
     def __init__(self, model: TrainedModel) -> None:
         """model: of a method whose task is parts."""
-        self.model, self.config, self.name = model, model.config, model.name
+        self.model, self.config, self.name, self.trained_on = model, model.config, model.name, model.trained_on
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -34,15 +34,16 @@ from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import Mirror, mirrored_labels
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.curves import Curves
-from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate
+from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, trained_on
 from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
-from cabinpose.estimate.onnx_model import packaged_models
+from cabinpose.estimate.onnx_model import TRAINED_ON, packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
 from cabinpose.estimate.train_config import Machines, Observers, Start, usable_precision, with_old_keywords
 from cabinpose.estimate.train_config import TrainConfig as TrainConfig
 from cabinpose.estimate.weights import measure_norms, read_weights
+from cabinpose.store import merged_ranges
 
 _MEASURED = 500  # training frames that open settings are measured on
 _SEEDS = 0x7FFFFFFFFFFFFFFF
@@ -84,6 +85,8 @@ class Detector(lightning.LightningModule):
         self.register_buffer("rays", ray_tensor(self.method_config.view), persistent=False)
         self.register_buffer("mirror_labels", torch.from_numpy(mirrored_labels()), persistent=False)
         self._errors: list[np.ndarray] = []
+        self.trained_on: dict[str, str] = {}  # see `data.trained_on`; of what the run began with, once it is saved of the run too
+        self.learns_from: Frames | Sequence[Kept] = ()
         self.spare_batches = 0  # steps of the schedule beyond those that Lightning expects
         self.save_hyperparameters({"config": config.model_dump(mode="json")})
 
@@ -117,6 +120,15 @@ class Detector(lightning.LightningModule):
         """The validation figures of the task; with several processes the mean of theirs."""
         figures, self._errors = self.task.figures(self._errors), []
         self.log_dict(figures, prog_bar=True, sync_dist=True)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds the frames that the weights have learnt from so far."""
+        learnt = trained_on(self.learns_from, self.current_epoch + 1)
+        checkpoint[TRAINED_ON] = merged_ranges(self.trained_on, learnt)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Takes over what a run that goes on has learnt from."""
+        self.trained_on = dict(checkpoint.get(TRAINED_ON, {}))
 
     def configure_optimizers(self) -> Any:
         """AdamW or Adam, under one cycle (Smith and Topin 2018) or at a constant rate; norms and biases do not decay."""
@@ -255,6 +267,7 @@ def fit(
             plugins=[_WholeCheckpoints()],
         )  # fmt: skip
         detector = Detector(config)
+        detector.learns_from = training
         if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
             detector.spare_batches = config.epochs * config.workers
         if start.init is not None and not last.exists():
@@ -314,7 +327,8 @@ def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: 
         errors.append(task.errors(method.find(arrays, settings, seen), batch, settings))
     card = {"frames": len(frames), "seed": config.seed} | {n: round(value, 2) for n, value in task.figures(errors).items()}
     make_folder(out)
-    write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card)
+    learnt = {TRAINED_ON: trained_on(training, 1)}
+    write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card, **learnt)
     return best
 
 
@@ -393,12 +407,16 @@ def _configuration(path: Path, checkpoint: Mapping[str, Any]) -> TrainConfig:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Weights and configuration of a checkpoint: {"config": plain data, "state": tensors by name}. Raises ModelError."""
+    """What a checkpoint holds: {"config": plain data, "state": tensors by name, "trained_on": ranges of frames by dataset}.
+
+    Raises ModelError.
+    """
     try:
         if is_zipfile(path):
             check_archive(path)
         data = torch.load(path, map_location="cpu", weights_only=True)  # plain types and tensors: no code runs
-        return {"config": data["hyper_parameters"]["config"], "state": data["state_dict"]}
+        learnt = dict(data.get(TRAINED_ON, {}))
+        return {"config": data["hyper_parameters"]["config"], "state": data["state_dict"], TRAINED_ON: learnt}
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         raise ModelError(f"cannot read {path}: {error.strerror}", hint="give best.ckpt or last.ckpt of a run") from error
     except Exception as error:  # torch raises whatever its unpickler does, in words that mislead
@@ -411,6 +429,7 @@ def load_detector(path: Path) -> Detector:
     """The trained detector of a checkpoint, ready to infer. Raises ModelError for a checkpoint of another network."""
     data = read_checkpoint(path)
     detector = Detector(_configuration(path, data))
+    detector.trained_on = data[TRAINED_ON]
     try:
         detector.load_state_dict(data["state"])
     except RuntimeError as error:
@@ -427,10 +446,10 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
     source = packaged_models().get(str(source), source)
     folded: tuple[str, ...] = ()
     if source.suffix == ".onnx":
-        theirs, state, folded = read_weights(source)
+        theirs, state, folded, learnt = read_weights(source)
     else:
         other = load_detector(source)
-        theirs, state = other.method_config, other.network.state_dict()
+        theirs, state, learnt = other.method_config, other.network.state_dict(), other.trained_on
     mine = detector.method_config
     fits = type(mine) is type(theirs) and (mine.joints, mine.slots) == (theirs.joints, theirs.slots)
     try:
@@ -443,6 +462,7 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
         raise ModelError(
             f"{source} is of another network: {', '.join(other_names)}", hint="begin with a run of the same method and settings"
         )
+    detector.trained_on = learnt
     if folded:
         frames = _some(training)
         batch = detector.settings.batch

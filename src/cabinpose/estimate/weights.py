@@ -25,11 +25,14 @@ _EPS = 1e-5  # of nn.BatchNorm2d
 
 
 class Exported(NamedTuple):
-    """The settings of an exported network, its parameters and statistics by torch's names, and the names of its folded norms."""
+    """The settings of an exported network, its parameters and statistics by torch's names, the names of its folded norms, and
+    ranges of the frames that it was trained on by dataset.
+    """
 
     settings: Any
     state: dict[str, Tensor]
     folded: tuple[str, ...]
+    trained_on: dict[str, str]
 
 
 def read_weights(path: Path) -> Exported:
@@ -58,7 +61,7 @@ def read_weights(path: Path) -> Exported:
             names = (f"{module}.weight", *(f"{norm}.{n}" for n in ("weight", "bias", "running_mean", "running_var")))
             state |= dict(zip(names, values, strict=True))
             folded.append(norm)
-    return Exported(model.config, state, tuple(folded))
+    return Exported(model.config, state, tuple(folded), model.trained_on)
 
 
 def _module(node: str) -> str:

@@ -3,6 +3,7 @@ from .boxes import Box as Box
 from .boxes import box_of as box_of
 from .boxes import boxes_by_range as boxes_by_range
 from .caveats import Caveats as Caveats
+from .caveats import trained_words as trained_words
 from .itop import evaluate_itop as evaluate_itop
 from .itop import itop_summary as itop_summary
 from .metrics import METRICS as METRICS
@@ -21,6 +22,7 @@ from .offline import model_name as model_name
 from .offline import predict_dataset as predict_dataset
 from .offline import samples_of as samples_of
 from .offline import shared_places as shared_places
+from .offline import trained_ranges as trained_ranges
 from .offline import truth_of as truth_of
 from .options import EvaluationOptions as EvaluationOptions
 from .over_frames import FrameDistances as FrameDistances

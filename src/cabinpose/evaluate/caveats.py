@@ -31,7 +31,8 @@ _IDENTITY: Final = MappingProxyType({
 class Caveats:
     """What is to be known before the numbers of one model.
 
-    frames, answered: how many frames there are, and for how many there is an answer · identity: how it is known that the answers
+    frames, answered, trained_on: how many frames there are, for how many there is an answer, and how many the model is known to
+    have been trained on · identity: how it is known that the answers
     are of this dataset: they name its id, they name a folder, they name nothing, or the detector ran on these frames now ·
     explanations: mistakes that would explain the errors · notes: what else stands out · unseen: in how many frames nobody can be
     seen, by the reason that the detector gives.
@@ -43,14 +44,21 @@ class Caveats:
     explanations: tuple[Explanation, ...] = ()
     notes: tuple[str, ...] = ()
     unseen: Mapping[str, int] = field(default_factory=dict)
+    trained_on: int = 0
 
     @property
     def coverage(self) -> str:
-        """In words, beside every figure: for how many frames there are answers, in how many nobody can be seen, and whether the
-        answers are known to be of these.
+        """In words, beside every figure: for how many frames there are answers, on how many the model was trained, in how many
+        nobody can be seen, and whether the answers are known to be of these.
         """
         missing = f"answers for {self.answered} of {self.frames} frames" if self.answered < self.frames else ""
-        return "; ".join(filter(None, (missing, *unseen_words(self.unseen, self.frames), _IDENTITY[self.identity])))
+        trained = trained_words(self.trained_on, self.frames)
+        return "; ".join(filter(None, (missing, trained, *unseen_words(self.unseen, self.frames), _IDENTITY[self.identity])))
+
+
+def trained_words(trained_on: int, frames: int) -> str:
+    """What is to be known of a model that was trained on so many of the frames; "" where there are none."""
+    return f"the model was trained on {trained_on} of these {frames} frames: it errs more on new ones" if trained_on else ""
 
 
 def remarks(batch: PoseBatch, size: tuple[int, int], presence: float) -> Iterator[str]:

@@ -42,7 +42,9 @@ from cabinpose.store import (
     dataset_skeleton,
     empty_batch,
     frame_images,
+    frame_ranges,
     image_names,
+    in_ranges,
     joint_dimension,
     joints_variable,
 )
@@ -241,7 +243,10 @@ def _caveats(
         notes.append(f"{absent} of {len(frames)} frames are not in the predictions: all their joints count as missed")
     if skeleton.definition != (stated := SKELETONS[skeleton.name].definition):
         notes.append(f"the dataset's joints are {skeleton.definition}; the set {skeleton.name} is {stated}")
-    return Caveats(len(frames), len(frames) - absent, identity_of(model, dataset), explanations(trial), tuple(notes))
+    learnt = int(in_ranges(trained_ranges(model, dataset), frames).sum())
+    return Caveats(
+        len(frames), len(frames) - absent, identity_of(model, dataset), explanations(trial), tuple(notes), trained_on=learnt
+    )
 
 
 def _trial(
@@ -281,6 +286,18 @@ def identity_of(model: Predictions | Predictor, dataset: xr.Dataset) -> Identity
     if model.dataset is None:
         return "unchecked"
     return "id" if model.dataset == dataset.attrs.get("dataset_id") else "name"
+
+
+def trained_ranges(model: Any, dataset: xr.Dataset) -> str:
+    """Ranges of a dataset's frames that a model, or the one of predictions, is known to have been trained on; "" for none.
+
+    A model says it by `trained_on`, see `core.Predictor`.
+    """
+    if isinstance(model, Predictions):
+        return model.trained_on
+    numbers = dataset["frame"].values
+    ranges = getattr(model, "trained_on", {}).get(dataset.attrs.get("frames_id"), "")
+    return frame_ranges(numbers[in_ranges(ranges, numbers)])
 
 
 def _columns(batch: PoseBatch, model: Predictions | Predictor, skeleton: Skeleton, persons: Sequence[str]) -> PoseBatch:
@@ -341,7 +358,7 @@ def predict_dataset(
     found = joined(batches)
     return Predictions(
         **vars(found), frame=dataset["frame"].values.astype(np.int64), persons=model.persons, joints=model.joints,
-        model=model.name, skeleton=skeleton_of(model).name, dataset=dataset_id,
+        model=model.name, skeleton=skeleton_of(model).name, dataset=dataset_id, trained_on=trained_ranges(model, dataset),
     )  # fmt: skip
 
 

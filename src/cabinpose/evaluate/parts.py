@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from cabinpose.core import DatasetError, Segmenter, class_table, confusion, images_of, intersection_over_union, whole_person
 from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_sums
-from cabinpose.evaluate.offline import BATCH, frame_batch
+from cabinpose.evaluate.offline import BATCH, frame_batch, trained_ranges
+from cabinpose.store import in_ranges
 
 NOBODY = "nobody"
 _SHOWN = 6
@@ -34,7 +35,8 @@ class PartsReport:
     """Everything about one segmentation on one dataset.
 
     classes: (C,) names, the first is nobody · confusion: (C, C) pixels by true class (row) and predicted one (column) · worst:
-    numbers of the worst frames by mean IoU, worst first · typical: of those nearest to the median frame.
+    numbers of the worst frames by mean IoU, worst first · typical: of those nearest to the median frame · trained_on: how many of
+    the frames the model is known to have been trained on.
     """
 
     model: str
@@ -45,6 +47,7 @@ class PartsReport:
     confusion: tuple[tuple[int, ...], ...]
     worst: tuple[int, ...]
     typical: tuple[int, ...]
+    trained_on: int = 0
 
     def value(self, metric: str, classes: str = "") -> float:
         """The number of that name; KeyError if there is none."""
@@ -111,6 +114,7 @@ def evaluate_parts(
     return PartsReport(
         model.name, name, len(each), classes, values, tuple(map(tuple, each.sum(axis=0).tolist())),
         worst=tuple(ranked[:_SHOWN]), typical=tuple(ranked[middle : middle + _SHOWN]),
+        trained_on=int(in_ranges(trained_ranges(model, dataset), dataset["frame"].values).sum()),
     )  # fmt: skip
 
 

@@ -56,7 +56,10 @@ from .split import COORDINATES as COORDINATES
 from .split import Selection as Selection
 from .split import Splits as Splits
 from .split import frame_mask as frame_mask
+from .split import frame_ranges as frame_ranges
 from .split import held_out as held_out
+from .split import in_ranges as in_ranges
+from .split import merged_ranges as merged_ranges
 from .split import parse_splits as parse_splits
 from .split import people_of as people_of
 from .split import read_splits as read_splits

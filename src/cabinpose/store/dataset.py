@@ -104,8 +104,7 @@ def create_dataset(
         writer = DatasetWriter(path, manifest, held, new=new, made=made)
         check_parts(path, writer.complete(), manifest)
         _check_space(writer, told or path)
-        text = with_checksum_line(manifest_yaml(manifest))
-        write_whole(path / MANIFEST_NAME, text, kind=DatasetError, told=None if told is None else told / MANIFEST_NAME)
+        write_manifest(path, manifest, told)
     except BaseException:
         os.close(held)
         if made and not any(path.iterdir()):
@@ -189,3 +188,9 @@ def frame_bytes(manifest: Manifest) -> int:
             items *= size
         total += items * (16 if variable.dtype == "str" else np.dtype(variable.dtype).itemsize)
     return total
+
+
+def write_manifest(path: Path, manifest: Manifest, told: Path | None = None) -> None:
+    """Write `dataset.yaml` of a folder, or replace it; told: what messages call the folder, if that is another name."""
+    text = with_checksum_line(manifest_yaml(manifest))
+    write_whole(path / MANIFEST_NAME, text, kind=DatasetError, told=None if told is None else told / MANIFEST_NAME)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -66,7 +66,9 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         )
     frames = {plan.name: part.frames for plan, part in zip(plans, facts, strict=True)}
     variables = {
-        v.name: PartsArray(path, frames, v, manifest.frame_shape(v)).lazy(variable_attributes(manifest, v))
+        v.name: PartsArray(path, frames, v, manifest.frame_shape(v), [part.crcs(v.name) for part in facts]).lazy(
+            variable_attributes(manifest, v)
+        )
         for v in manifest.stored
     }
     coordinates: dict[str, Any] = {
@@ -96,16 +98,21 @@ def _indices(plan: PartPlan, part: PartFacts) -> NDArray[np.int64]:
 
 
 def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str, Any]:
-    """What holds for all frames, and the parts' counts of proposed and rejected scenes added up."""
+    """What holds for all frames, and the parts' counts of proposed and rejected scenes added up.
+
+    frames_id: equal where frames of one number are the same frame; "" in datasets made before parts named theirs.
+    """
     rejections: Counter[str] = Counter()
     for part in parts:
         rejections.update(part.rejections)
     names = ("schema_version", "generator", "generator_version", "seed", "licence", "width", "height")
+    unbound = sum(part.dataset is None for part in parts)
     return {name: getattr(manifest, name) for name in names} | {
         "dataset_id": dataset_id(manifest),
+        "frames_id": "" if unbound else manifest.content or manifest.parts_belong_to,
         "planned_frames": manifest.frames,
         "parts_without_checksum": sum(part.checksum is None for part in parts),
-        "parts_without_dataset": sum(part.dataset is None for part in parts),
+        "parts_without_dataset": unbound,
         "skipped_frames": sum(len(part.skipped) for part in parts),
         "proposals": sum(part.frames if part.proposals is None else part.proposals for part in parts),
         "rejections": dict(sorted(rejections.items())),
@@ -115,9 +122,11 @@ def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str,
 class PartsArray(BackendArray):
     """One variable over all parts of a folder, decoded: depths are float32 metres with NaN where invalid."""
 
-    def __init__(self, folder: Path, frames: Mapping[str, int], variable: Variable, frame_shape: tuple[int, ...]) -> None:
-        """`frames`: how many frames each part holds, by the part's name, in order."""
-        self._folder = folder
+    def __init__(
+        self, folder: Path, frames: Mapping[str, int], variable: Variable, frame_shape: tuple[int, ...], crcs: Sequence[bytes]
+    ) -> None:
+        """`frames`: how many frames each part holds, by the part's name, in order · crcs: `PartFacts.crcs` of each."""
+        self._folder, self._crcs = folder, crcs
         self._names = tuple(frames)
         self._starts = np.cumsum([0, *frames.values()])
         self._variable = variable
@@ -153,14 +162,14 @@ class PartsArray(BackendArray):
 
     def _part_values(self, part: int, frames: NDArray[np.int64]) -> NDArray[Any]:
         """Raw values of some frames (indices into the part) of one part."""
-        name, variable = self._names[part], self._variable
+        name, variable, crcs = self._names[part], self._variable, self._crcs[part]
         path = self._folder / name / variable.name
         try:
             if variable.is_image:
-                return read_frames(path / "c", frames, self.shape[1:], np.dtype(variable.dtype))
+                return read_frames(path / "c", frames, self.shape[1:], np.dtype(variable.dtype), crcs)
             if self._latest[0] != part:
                 shape = int(self._starts[part + 1] - self._starts[part]), *self.shape[1:]
-                self._latest = part, read_whole(path / "c", shape, variable.dtype)
+                self._latest = part, read_whole(path / "c", shape, variable.dtype, crcs)
             values: NDArray[Any] = self._latest[1][frames]
             return values
         except (OSError, ValueError, RuntimeError) as error:

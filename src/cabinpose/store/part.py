@@ -22,7 +22,7 @@ import numpy as np
 
 from cabinpose.core import FULL_DISK, DatasetError, output_errors
 from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable
-from cabinpose.store.shard import ShardWriter, compressed, compressed_column, depth_ticks
+from cabinpose.store.shard import CRC_BYTES, ShardWriter, compressed, compressed_column, depth_ticks
 from cabinpose.store.zarr_metadata import array_json, dimension_labels, group_json, zarr_arrays
 
 _SUFFIX = ".tmp"
@@ -112,6 +112,7 @@ class PartWriter:
             v.name: ShardWriter(self._temporary / v.name / "c", len(v.dims) - 1) for v in manifest.stored if v.is_image
         }
         self._columns: dict[str, list[Any]] = {v.name: [] for v in manifest.stored if not v.is_image}
+        self._crcs: dict[str, bytes] = dict.fromkeys(self._images, b"")  # of all chunks of an array, one after the other
         self._written: list[int] = []
         self._skipped: list[int] = []
 
@@ -135,6 +136,7 @@ class PartWriter:
         with _part_errors(self.folder, self._told):
             for name, chunk in frame.images.items():
                 self._images[name].append(chunk)
+                self._crcs[name] += chunk[-CRC_BYTES:]
         for name, value in frame.values.items():
             self._columns[name].append(value)
         self._written.append(self._next)
@@ -180,7 +182,9 @@ class PartWriter:
             if not array.is_image:
                 path = self._temporary.joinpath(array.name, "c", *["0"] * len(array.shape))
                 path.parent.mkdir(parents=True)
-                path.write_bytes(compressed_column(columns[array.name], array.dtype))
+                column = compressed_column(columns[array.name], array.dtype)
+                path.write_bytes(column)
+                self._crcs[array.name] = column[-CRC_BYTES:]
         for array in arrays:
             (self._temporary / array.name / "zarr.json").write_text(array_json(array), encoding="utf-8")
         text = group_json(arrays, self._attributes())
@@ -216,6 +220,7 @@ class PartWriter:
             "skipped": self._skipped,
             **self.attrs,
             "coordinates": " ".join(v.name for v in manifest.stored if v.coordinate),
+            "chunk_crc32c": {name: crcs.hex() for name, crcs in sorted(self._crcs.items())},
             "file_sizes": {path.relative_to(self._temporary).as_posix(): path.stat().st_size for path in files},
         }
 

@@ -15,14 +15,17 @@ from cabinpose.store.shard import read_whole
 from cabinpose.store.zarr_metadata import describes, dimension_labels, zarr_arrays
 
 _Count = Annotated[int, Field(ge=0)]
+_ANOTHER_IMPORT = "put the parts of this import back, or import again"
 _MADE_BY = ("generator", "generator_version", "seed")
 
 
 class PartFacts(BaseModel):
     """The attributes of a part's `zarr.json` that readers use.
 
-    checksum, dataset: None where the part was written before there was one · dataset: what the manifest calls `parts_belong_to` ·
-    after: the checksum of the part before it, in datasets whose manifest does not decide what the frames are.
+    chunk_crc32c: by the name of an array the checksums that its chunks end with, in order, in hexadecimal; so that a chunk of
+    another part is noticed when it is read · checksum, dataset: None where the part was written before there was one · dataset:
+    what the manifest calls `parts_belong_to` · after: the checksum of the part before it, in datasets whose manifest does not
+    decide what the frames are.
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True, defer_build=True)
@@ -31,6 +34,7 @@ class PartFacts(BaseModel):
     frames: _Count
     skipped: tuple[_Count, ...]
     file_sizes: dict[str, _Count]
+    chunk_crc32c: dict[str, Annotated[str, Field(pattern="^([0-9a-f]{8})+$")]] = Field(default_factory=dict)
     proposals: _Count | None = None
     rejections: dict[str, _Count] = Field(default_factory=dict)
     checksum: str | None = None
@@ -39,6 +43,10 @@ class PartFacts(BaseModel):
     generator: str | None = None
     generator_version: str | None = None
     seed: int | None = None
+
+    def crcs(self, array: str) -> bytes:
+        """The checksums of an array's chunks as they stand at their ends; b"" in parts that do not state them."""
+        return bytes.fromhex(self.chunk_crc32c.get(array, ""))
 
 
 def check_parts(folder: Path, plans: Sequence[PartPlan], manifest: Manifest) -> list[PartFacts]:
@@ -53,8 +61,15 @@ def check_parts(folder: Path, plans: Sequence[PartPlan], manifest: Manifest) -> 
             raise DatasetError(
                 f"{before.name} and {plan.name} in {folder} do not belong together: {plan.name} was made after a part whose "
                 f"checksum is {after}, that of {before.name} is {facts[number - 1].checksum}",
-                hint="one of them is of another import with the same settings: put the right one back, or import again",
+                hint=_ANOTHER_IMPORT,
             )
+    whole = bool(plans) and plans[-1].index + 1 == manifest.part_count
+    if whole and manifest.content is not None and facts[-1].checksum != manifest.content:
+        raise DatasetError(
+            f"the parts in {folder} are of another import with the same settings: {MANIFEST_NAME} says that the last part's"
+            f" checksum is {manifest.content}, that of {plans[-1].name} is {facts[-1].checksum}",
+            hint=_ANOTHER_IMPORT,
+        )
     return facts
 
 
@@ -91,7 +106,7 @@ def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
     expected = {name: (labels, "str") for name, labels in dimension_labels(manifest).items()} | {"frame": (numbers, "int64")}
     for name, (values, kind) in expected.items():
         try:
-            stored = tuple(read_whole(path / name / "c", (len(values),), kind).tolist())
+            stored = tuple(read_whole(path / name / "c", (len(values),), kind, facts.crcs(name)).tolist())
         except (OSError, ValueError, RuntimeError) as error:
             raise DatasetError(f"{path.name} is damaged: cannot read {name} ({error})", hint=hint) from error
         if stored != values:

@@ -4,8 +4,9 @@ Two encodings of one table, a row for each joint found: JSON lines (`.jsonl`), o
 Columns: `frame` (number in the dataset), `person` (slot), `joint` (name), `u`, `v` (px, or null), `x`, `y`, `z` (m, camera frame;
 all three, or null), `score`, `presence` (0..1), `expected_error_m` (m, or null). A frame in which nobody can be seen has one row
 of `frame` and `reason`, behind all joints. The header holds `format`, `version`, `model`, `skeleton`, `joints`, `persons`, and,
-where the writer knows them, `dataset` and `remarks`. In JSON lines the header is the first line and `{"rows": n}` the last, so
-that a file cut short is noticed; in Parquet the header is the value of the key `cabinpose` of the file's metadata.
+where the writer knows them, `dataset`, `remarks`, and `trained_on`, the frames that the model was trained on ("0-84 90").
+In JSON lines the header is the first line and `{"rows": n}` the last, so that a file cut short is noticed; in Parquet the header
+is the value of the key `cabinpose` of the file's metadata.
 
 A joint without a row was not found: what the file leaves out counts as missed, a whole frame too.
 """
@@ -23,12 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsError, check_claim, whole_file
+from cabinpose.store.split import in_ranges
 
 FORMAT: Final = "cabinpose-predictions"
 VERSION: Final = 1
 _NUMBERS = ("u", "v", "x", "y", "z", "score", "presence", "expected_error_m")
 COLUMNS = ("frame", "person", "joint", *_NUMBERS, "reason")
-_HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset", "remarks")
+_HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset", "remarks", "trained_on")
 _PARQUET_KEY = b"cabinpose"
 _ROW_BYTES = 8 * len(COLUMNS)  # of a table in memory
 _PROBABILITY = "give a number from 0 to 1: per cent divided by 100, a logit through the logistic function"
@@ -41,7 +43,8 @@ _DESCRIBED = "docs/evaluation.md describes the format"
 class Predictions(PoseBatch):
     """The answers of one model: `PoseBatch`'s arrays over the frames numbered `frame` (F,) int64, in rising order.
 
-    persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it.
+    persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it · trained_on:
+    ranges of the dataset's frames that the model was trained on, as `frame_ranges` writes them, as far as it is known.
     """
 
     frame: NDArray[np.int64]
@@ -50,6 +53,7 @@ class Predictions(PoseBatch):
     model: str
     skeleton: str = "cabinpose"
     dataset: str | None = None
+    trained_on: str = ""
 
     def take(self, frames: NDArray[np.int64]) -> PoseBatch:
         """The answers on the frames with the given numbers, in that order; frames without an answer are empty."""
@@ -107,9 +111,8 @@ def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: 
     """
     file = Path(path)
     check_new_predictions(file, overwrite=overwrite)
-    header = {"format": FORMAT, "version": VERSION} | {name: getattr(predictions, name) for name in _HEADER_KEYS[2:-1]}
-    if predictions.remarks:
-        header["remarks"] = predictions.remarks
+    header = {"format": FORMAT, "version": VERSION} | {name: getattr(predictions, name) for name in _HEADER_KEYS[2:-2]}
+    header |= {name: value for name in _HEADER_KEYS[-2:] if (value := getattr(predictions, name))}
     with whole_file(file, kind=PredictionsError) as partial:
         if file.suffix == ".parquet":
             _write_parquet(partial, header, predictions)
@@ -310,6 +313,10 @@ def _check_header(file: Path, header: Any) -> None:
     remarks = header.get("remarks", [])
     if not isinstance(remarks, list) or not all(isinstance(remark, str) for remark in remarks):
         raise PredictionsError(f"{file}: the header's 'remarks' are no list of texts", hint=_DESCRIBED)
+    try:
+        in_ranges(str(header.get("trained_on", "")), np.zeros(0, np.int64))
+    except ValueError as error:
+        raise PredictionsError(f"{file}: the header's 'trained_on' are {error}", hint=_DESCRIBED) from error
     if not isinstance(header.get("model"), str):
         raise PredictionsError(f"{file}: the header does not name the model", hint='add `"model": "name"`')
 
@@ -355,6 +362,7 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     return Predictions(
         **vars(replace(batch, remarks=remarks)), frame=frame, persons=persons, joints=joints, model=header["model"],
         skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"),
+        trained_on=str(header.get("trained_on", "")),
     )  # fmt: skip
 
 

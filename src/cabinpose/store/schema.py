@@ -30,6 +30,7 @@ _MOST_NAMES: Final = 1000  # of persons, and of joints
 MOST_LISTED_PARTS: Final = 100_000  # in dataset.yaml; of more it states their number
 _PART = re.compile(r"part-(\d{5}|[1-9]\d{5,})\.zarr")
 CHECKSUM_PREFIX: Final = "sha256:"
+_CONTENT: Final = "content"  # in the configuration of an import
 DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
 
 
@@ -297,11 +298,23 @@ class Manifest(BaseModel):
     def parts_belong_to(self) -> str:
         """What each part names its dataset by: a checksum of the manifest without what may change while the parts stay the same.
 
-        That is the number of frames, which `--resume` raises, and the licence. A field that is added to the manifest has to be
-        left out where it has its default, or the parts of older datasets are taken for another dataset's.
+        That is the number of frames, which `--resume` raises, the licence, and the content of an import, which is known when its
+        parts are written. A field that is added to the manifest has to be left out where it has its default, or the parts of
+        older datasets are taken for another dataset's.
         """
-        data = self.model_dump(mode="json", by_alias=True, exclude={"frames", "licence"})
+        data = self.model_dump(mode="json", by_alias=True, exclude={"frames": True, "licence": True, "config": {_CONTENT}})
         return checksum(json.dumps(data, sort_keys=True))
+
+    @property
+    def content(self) -> str | None:
+        """The checksum of the last part of a dataset whose manifest does not decide what its frames are; with those that each
+        part names, it holds all their bytes. None in datasets that are generated, and in those written before there was one.
+        """
+        return self.config.get(_CONTENT)
+
+    def with_content(self, last: str) -> Manifest:
+        """The manifest once the last part is written; last: its checksum."""
+        return self.model_copy(update={"config": self.config | {_CONTENT: last}})
 
     @property
     def part_count(self) -> int:
@@ -409,7 +422,7 @@ def read_manifest(folder: Path | str) -> Manifest:
     if line and stated.rstrip() != (right := checksum(content + "\n")):
         raise DatasetError(
             f"{path} was changed or damaged: the checksum of its content is {right}, its last line says {stated[:40].rstrip()}",
-            hint=f"{_RESTORE}; after a change on purpose, write the first of the two checksums into the last line",
+            hint=f"{_RESTORE}; after a change of the licence on purpose, write the first of the two checksums into the last line",
         )
     if line and not text.endswith("\n"):
         raise DatasetError(f"{path} is cut off: its last line has no end", hint=_RESTORE)

@@ -21,9 +21,10 @@ from cabinpose.store.schema import DEPTH_SCALE_M
 
 FRAMES_PER_SHARD = 100
 LEVEL = 5
+CRC_BYTES = 4
 _LONGEST_TEXT = 1 << 28  # bytes of all texts of a variable in a part
 _ABSENT = 0xFFFF_FFFF_FFFF_FFFF  # index entry of a chunk that was never written
-_INDEX_BYTES = FRAMES_PER_SHARD * 16 + 4
+_INDEX_BYTES = FRAMES_PER_SHARD * 16 + CRC_BYTES
 
 
 @cache
@@ -42,11 +43,13 @@ def with_checksum(data: bytes) -> bytes:
     return data + int(google_crc32c.value(data)).to_bytes(4, "little")
 
 
-def checked(data: bytes) -> bytes:
-    """`data` without its checksum; ValueError where that is not right."""
-    if len(data) < 4 or int(google_crc32c.value(data[:-4])) != int.from_bytes(data[-4:], "little"):
+def checked(data: bytes, stated: bytes = b"") -> bytes:
+    """`data` without its checksum; ValueError where that is not right, or not the one that the part states for it, if it does."""
+    if len(data) < CRC_BYTES or int(google_crc32c.value(data[:-CRC_BYTES])) != int.from_bytes(data[-CRC_BYTES:], "little"):
         raise ValueError("wrong checksum")
-    return data[:-4]
+    if stated and data[-CRC_BYTES:] != stated:
+        raise ValueError("whole, but not what the part was written with: a file of another part or dataset")
+    return data[:-CRC_BYTES]
 
 
 def compressed(data: NDArray[Any] | bytes) -> bytes:
@@ -61,12 +64,12 @@ def compressed_column(values: Sequence[Any], dtype: str) -> bytes:
     return compressed(np.ascontiguousarray(values, dtype))
 
 
-def read_whole(folder: Path, shape: tuple[int, ...], dtype: str) -> NDArray[Any]:
-    """The values that `compressed_column` wrote. `folder` is .../<variable>/c.
+def read_whole(folder: Path, shape: tuple[int, ...], dtype: str, stated: bytes = b"") -> NDArray[Any]:
+    """The values that `compressed_column` wrote. `folder` is .../<variable>/c; stated: the chunk's checksum, if it is known.
 
-    Raises OSError, ValueError or RuntimeError where the file is missing, damaged or of another shape.
+    Raises OSError, ValueError or RuntimeError where the file is missing, damaged, of another shape or another part's.
     """
-    packed = checked(folder.joinpath(*["0"] * len(shape)).read_bytes())
+    packed = checked(folder.joinpath(*["0"] * len(shape)).read_bytes(), stated)
     claimed = int.from_bytes(packed[4:8], "little")  # of blosc's head; memory is asked for by it
     if claimed > (_LONGEST_TEXT if dtype == "str" else np.dtype(dtype).itemsize * math.prod(shape)):
         raise ValueError(f"it claims {claimed} bytes")
@@ -77,10 +80,13 @@ def read_whole(folder: Path, shape: tuple[int, ...], dtype: str) -> NDArray[Any]
     return values.reshape(shape)
 
 
-def read_frames(folder: Path, frames: NDArray[np.int64], shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+def read_frames(
+    folder: Path, frames: NDArray[np.int64], shape: tuple[int, ...], dtype: np.dtype[Any], stated: bytes = b""
+) -> NDArray[Any]:
     """Frames (n,) of one image variable of a part, in the order asked: (n, *shape). `folder` is .../<variable>/c.
 
-    Raises OSError or ValueError where a file is missing or damaged.
+    stated: checksums of all chunks of the part one after the other, if they are known. Raises OSError or ValueError where a file
+    is missing, damaged or another part's.
     """
     result = np.empty((len(frames), *shape), dtype)
     shards = frames // FRAMES_PER_SHARD
@@ -93,7 +99,8 @@ def read_frames(folder: Path, frames: NDArray[np.int64], shape: tuple[int, ...],
                 if offset == _ABSENT:
                     raise ValueError(f"frame {frames[position]} is not there")
                 file.seek(offset)
-                _codecs()[0].decode(checked(file.read(length)), result[position])
+                own = stated[CRC_BYTES * int(frames[position]) :][:CRC_BYTES]
+                _codecs()[0].decode(checked(file.read(length), own), result[position])
     return result
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import DatasetError, known_camera, output_errors, whole_folder
-from cabinpose.store.dataset import create_dataset
+from cabinpose.store.dataset import create_dataset, write_manifest
 from cabinpose.store.part import PartWriter
 from cabinpose.store.schema import MANIFEST_NAME, Manifest
 
@@ -89,7 +89,7 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
 def _fill(source: Source, folder: Path, told: Path, report: Report | None) -> None:
     """Write the frames of a source into a new folder, `told` in messages."""
     manifest, frames, done = source.manifest, source.frames(), 0
-    last: str | None = None  # two imports may have one manifest: each part names the one before it, too
+    last: str | None = None  # two imports may have one configuration: each part names the one before it, the manifest the last
     with create_dataset(folder, manifest, told=told):
         for plan in manifest.parts:
             with PartWriter(folder, plan, manifest, after=last, told=told) as part:
@@ -104,6 +104,8 @@ def _fill(source: Source, folder: Path, told: Path, report: Report | None) -> No
                     if report is not None:
                         report(done)
             last = part.checksum
+        assert last is not None
+        write_manifest(folder, manifest.with_content(last), told)
 
 
 def check_new_dataset(folder: Path, *, overwrite: bool) -> None:

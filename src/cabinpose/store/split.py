@@ -1,4 +1,4 @@
-"""Splits: named selections of frames by their coordinates, kept as YAML, which cannot overlap.
+"""Splits: named selections of frames by their coordinates, kept as YAML, which cannot overlap; and frames by number, as text.
 
 ```yaml
 train: {subject: [S01, S02, S03], car: [sedan, van]}
@@ -191,3 +191,27 @@ def split_datasets(datasets: Sequence[xr.Dataset], splits: Splits) -> dict[str, 
         if not any(part.sizes["frame"] for part in result[name]):
             raise DatasetError(f"no frame belongs to split '{name}'", hint="`cabinpose info` counts the frames by coordinate")
     return result
+
+
+def frame_ranges(numbers: NDArray[np.integer]) -> str:
+    """Numbers of frames (n,), rising, as text: "0-84 90 95-120"."""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
+    return " ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs if len(run))
+
+
+def merged_ranges(*by_dataset: Mapping[str, str]) -> dict[str, str]:
+    """Ranges of the frames in any of these, by dataset."""
+    names = dict.fromkeys(name for each in by_dataset for name in each)
+    return {name: " ".join(dict.fromkeys(" ".join(each.get(name, "") for each in by_dataset).split())) for name in names}
+
+
+def in_ranges(ranges: str, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """(n,) whether frames, by their numbers, are in ranges as `frame_ranges` writes them. Raises ValueError for other text."""
+    pairs = [(first, last if dash else first) for first, dash, last in (each.partition("-") for each in ranges.split())]
+    try:
+        first, last = np.array(pairs, dtype=object).reshape(-1, 2).astype(np.int64).T
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"no ranges of frames such as '0-84 90': {ranges[:40]!r}") from error
+    order = np.argsort(first, kind="stable")
+    reach = np.concatenate(([-1], np.maximum.accumulate(last[order])))
+    return np.asarray(numbers <= reach[np.searchsorted(first[order], numbers, "right")])

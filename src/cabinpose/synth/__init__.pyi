@@ -54,3 +54,4 @@ from .validate import Validator as Validator
 from .validate import Verdict as Verdict
 from .validate import most_common as most_common
 from .variables import Frame as Frame
+from .variables import build_manifest as build_manifest

@@ -163,7 +163,7 @@ def _check_labelled(dataset: xr.Dataset, folder: Path) -> None:
 def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmenter], name: str) -> None:
     """Segmentations against the dataset's pixel classes."""
     from cabinpose.app.report.parts import parts_page, pictures, write_sheet
-    from cabinpose.evaluate import evaluate_parts
+    from cabinpose.evaluate import evaluate_parts, trained_words
 
     reports = []
     for model in models:
@@ -184,6 +184,8 @@ def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmente
         return
     for report in reports:
         print(f"{printable(report.model)} on {printable(report.dataset)}: {report.frames} frames")
+        if report.trained_on:
+            print(trained_words(report.trained_on, report.frames))
         rows = [
             [f"{v.metric} {v.classes}", f"{v.value:.1f} %", f"{v.low:.1f} to {v.high:.1f}" if v.low == v.low else ""]
             for v in report.values

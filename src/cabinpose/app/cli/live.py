@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -184,24 +184,27 @@ def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> 
 
 def _write_predictions(command: LiveCommand, live: Live) -> None:
     from cabinpose.app.live.feed import DatasetFeed
+    from cabinpose.evaluate import trained_ranges
     from cabinpose.store import dataset_id, read_manifest, write_predictions
 
     assert command.predictions is not None
     (model,) = live.models
-    dataset = dataset_id(read_manifest(Path(command.source))) if isinstance(live.feed, DatasetFeed) else None
-    found = live.predictions(model, dataset=dataset)
+    found = live.predictions(model)
+    if isinstance(live.feed, DatasetFeed):
+        dataset = dataset_id(read_manifest(Path(command.source)))
+        found = replace(found, dataset=dataset, trained_on=trained_ranges(model, live.feed.dataset))
     write_predictions(command.predictions, found, overwrite=command.overwrite)
 
 
 def _reports(command: LiveCommand, live: Live) -> list[Any]:
     """What `evaluate` says of the frames that were looked at, where the source is a dataset with people in the models' seats."""
     from cabinpose.app.live.feed import DatasetFeed
-    from cabinpose.evaluate import EvaluationOptions, common_joints, evaluate, shared_places
+    from cabinpose.evaluate import EvaluationOptions, common_joints, evaluate, shared_places, trained_ranges
 
     if not isinstance(live.feed, DatasetFeed) or not live.frames:
         return []
     dataset = live.feed.dataset.isel(frame=slice(0, live.frames))
-    models = [live.predictions(model) for model in live.models]
+    models = [replace(live.predictions(model), trained_on=trained_ranges(model, dataset)) for model in live.models]
     joints, persons = common_joints(dataset, models), shared_places(dataset, models)
     options = EvaluationOptions(resamples=0)
     name = Path(command.source).resolve().name

@@ -65,6 +65,7 @@ def _rows(described: dict[str, Any]) -> list[tuple[str, str]]:
         ),
         ("places", ", ".join(described["persons"]) or "any"),
         *([("expected error", _calibrated(described["expected_error"]))] if described["expected_error"] else []),
+        *([("trained on", f"frames of {', '.join(described['trained_on'])}")] if described["trained_on"] else []),
         ("parts", ", ".join(described["parts"])) if described["parts"] else ("joints", ", ".join(described["joints"])),
     ]
 

@@ -172,7 +172,7 @@ class Live:
             feed=self.feed.status(),
         )
 
-    def predictions(self, model: Predictor, *, dataset: str | None = None) -> Predictions:
+    def predictions(self, model: Predictor) -> Predictions:
         """All answers of a detector, by the numbers of the frames."""
         answers = self._answers[model.name]
         found = joined([empty_batch(0, len(model.persons), len(model.joints)), *answers.batches])
@@ -180,5 +180,5 @@ class Live:
         return Predictions(
             **vars(found.map(lambda values: values[order])), frame=np.array(answers.numbers, np.int64)[order],
             persons=model.persons, joints=model.joints, model=model.name,
-            skeleton=skeleton_of(model).name, dataset=dataset,
+            skeleton=skeleton_of(model).name,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from cabinpose.app.report.html import Html, document, el, figure, picture_uri, s
 from cabinpose.app.view.draw import Image, depth_image, depth_range, text
 from cabinpose.app.view.sheet import caption
 from cabinpose.core import Part, Segmenter, write_whole
-from cabinpose.evaluate import PartsReport, PartsValue, pairs
+from cabinpose.evaluate import PartsReport, PartsValue, pairs, trained_words
 from cabinpose.store import png
 
 _BACKGROUND = (38, 40, 46)
@@ -33,7 +33,11 @@ def parts_page(reports: Sequence[PartsReport], typical: Mapping[str, Pictures], 
     for report in reports:
         title = f"{report.model}: " if len(reports) > 1 else ""
         sections += [
-            section(f"{title}At a glance", tiles(_tile(v) for v in report.values if v.metric != "IoU" or v.classes == "people")),
+            section(
+                f"{title}At a glance",
+                tiles(_tile(v) for v in report.values if v.metric != "IoU" or v.classes == "people"),
+                trained_words(report.trained_on, report.frames),
+            ),
             section(f"{title}IoU by class, %", _iou_table(report), "Over all pixels of all frames. Small: 95 % interval."),
             section(
                 f"{title}Confusion, % of the pixels of a true class", _confusion_table(report), "Rows: truth; columns: answer."

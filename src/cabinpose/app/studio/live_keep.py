@@ -21,6 +21,7 @@ from cabinpose.store import (
     blank_frame,
     dataset_id,
     import_source,
+    read_manifest,
     write_predictions,
 )
 
@@ -69,6 +70,7 @@ def write_kept(kept: Sequence[Shown], root: Path) -> tuple[Path, list[Path]]:
         width=width, height=height, variables=tuple(images), persons=tuple(slots) or OCCUPANT_SLOTS,
     )  # fmt: skip
     import_source(Source(root, manifest, lambda: _frames(kept, manifest)), folder)
+    written = dataset_id(read_manifest(folder))
     files = []
     for number, model in enumerate(models.values(), 1):
         rows, answers = [], []
@@ -81,7 +83,7 @@ def write_kept(kept: Sequence[Shown], root: Path) -> tuple[Path, list[Path]]:
             found = joined(answers)
             predictions = Predictions(
                 **vars(found), frame=np.array(rows, np.int64), persons=tuple(model.persons), joints=tuple(model.joints),
-                model=model.name, skeleton=skeleton_of(model).name, dataset=dataset_id(manifest),
+                model=model.name, skeleton=skeleton_of(model).name, dataset=written,
             )  # fmt: skip
             files.append(write_predictions(root / f"{folder.name}.predictions-{number}.jsonl", predictions))
     return folder, files
