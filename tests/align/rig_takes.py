@@ -95,6 +95,8 @@ class Made:
     suit_still: bool = False
     codes: tuple[str, ...] = ("S07",)
     camera: str = ""  # serial number
+    rig: str = ""
+    station: str = ""  # of the suit, as MVN's meta data say it
     second: str = ""  # the source of a second person's suit
     host: dict[str, str] = field(default_factory=dict)
     car: str = "sedan"
@@ -123,7 +125,7 @@ class Made:
         samples.sort(key=lambda row: row[1].host_ns)
         seats = (self.seat, "front_passenger" if self.seat else None)
         people = tuple(Participant(code=code, seat=seat) for code, seat in zip(self.codes, seats, strict=False))
-        take = Take(action="reach", car=self.car, drive_side=self.drive_side, subjects=people)
+        take = Take(action="reach", car=self.car, drive_side=self.drive_side, rig=self.rig, subjects=people)
         with RecordingWriter(path, take, host=self.host, chunking=Chunking(flush_s=np.inf, sync_s=0.0)) as writer:
             for source, sample in samples:
                 writer.write(source, sample)
@@ -149,7 +151,10 @@ class Made:
             suits.append(("S07", *_split(moved)))
         if source == self.second:
             suits.append(("S08", *_split(SUIT_FROM_WORLD @ second_in_world(time))))
-        return [tuple(SegmentPoses(code, MVN_SEGMENTS, p[k], q[k]) for code, p, q in suits) for k in range(len(time))]
+        poses = [tuple(SegmentPoses(code, MVN_SEGMENTS, p[k], q[k]) for code, p, q in suits) for k in range(len(time))]
+        if self.station:
+            poses[0] = (Facts("S07", {"xmid": self.station}), *poses[0])
+        return poses
 
     def _hidden(self, time: np.ndarray, position: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.optical_gap is not None:

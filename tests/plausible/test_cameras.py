@@ -152,6 +152,20 @@ def test_true_cameras_are_taken_in_silence(name: str) -> None:
         check_camera(half, "its half")
 
 
+@pytest.mark.parametrize("name", {SENSORS[name].camera: name for name in SENSORS.names()}.values())
+def test_a_thousand_images_of_every_sensor_are_taken_in_silence(name: str) -> None:
+    """Of any shape, cut out of the middle down to two fifths of each side, and binned by up to four."""
+    camera, rng = SENSORS[name].camera, np.random.Generator(np.random.Philox(key=33))
+    whole = np.array((camera.width, camera.height))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for number, share in enumerate(rng.uniform(0.4, 1, (1000, 2))):
+            binned, size = (1, 2, 4)[number % 3], np.rint(share * whole)
+            centre = ((camera.cx, camera.cy) - (whole - size) // 2 + 0.5) / binned - 0.5
+            focal, (width, height) = (camera.fx / binned, camera.fy / binned), (size // binned).astype(int).tolist()
+            check_camera(Camera(width, height, *focal, *centre.tolist(), camera.dist), "its image")
+
+
 def test_cut_outs_are_refused_nowhere() -> None:
     """They may lie anywhere in the larger image: only a doubt says so."""
     for left, top in ((0, 0), (100, 60), (288, 239)):
@@ -325,3 +339,24 @@ def test_a_calibration_of_another_camera_is_refused(tmp_path: Path) -> None:
         AlignmentError, match=r"take.mcap: the camera: the take is of the camera ours B2, the calibration of ours A1"
     ):
         align_takes([path], rig_takes.calibration(camera="ours A1"))
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "taken", "said"),
+    [
+        ({"rig": "lab-A"}, {"rig": "lab-A"}, None),
+        ({}, {"rig": "lab-A", "station": "0A12"}, None),
+        ({"rig": "lab-A", "suit of S07": "0A12"}, {}, None),
+        ({"rig": "lab-A", "suit of S07": "0A12"}, {"rig": "lab-B", "station": "0A12"}, "rig: lab-A then, lab-B now"),
+        ({"rig": "lab-A", "suit of S07": "0A12"}, {"rig": "lab-A", "station": "0B34"}, "suit of S07: 0A12 then, 0B34 now"),
+    ],
+    ids=["the same", "an older calibration", "a take that says nothing", "another rig", "another suit"],
+)
+def test_a_take_is_compared_with_the_calibrated_rig_and_suit(
+    tmp_path: Path, calibrated: dict[str, str], taken: dict[str, str], said: str | None
+) -> None:
+    path = tmp_path / "take.mcap"
+    rig_takes.Made(seconds=6, **taken).write(path)
+    warned = [text for text in align_takes([path], rig_takes.calibration(equipment=calibrated)).warnings if "rig or suit" in text]
+    assert len(warned) == (said is not None)
+    assert all(text.startswith("take.mcap: recorded with another rig or suit") and f"({said})" in text for text in warned)

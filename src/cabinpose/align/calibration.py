@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -158,6 +158,9 @@ class Calibration(_Model):
         default_factory=dict
     )
     camera: Annotated[str, Field(description="vendor, model and serial number, where the camera states them")] = ""
+    equipment: Annotated[
+        dict[str, str], Field(description="what the takes say of the rig: its name, and the station of each suit")
+    ] = Field(default_factory=dict)
     heads: Annotated[dict[str, Head], Field(description="by subject code")] = Field(default_factory=dict)
     vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands, if known")] = None
 
@@ -197,6 +200,10 @@ class Calibration(_Model):
         told = "not recorded as the pendulum was, so that the delays may differ; record the calibration takes again"
         return [f"{told} ({'; '.join(changed)})"] if changed else []
 
+    def suits(self, codes: Iterable[str]) -> dict[str, str]:
+        """Source of the suit of each of some subjects, by code; of those who are calibrated."""
+        return {code: self.heads[code].suit or self.names.suit for code in codes if code in self.heads}
+
     def save(self, path: Path) -> None:
         """Write the file; an existing one is replaced as a whole."""
         text = yaml.safe_dump(
@@ -209,6 +216,17 @@ class Calibration(_Model):
         """The calibration in a file. Raises AlignmentError where it is none."""
         hint = "`cabinpose calibrate` writes it; docs/alignment.md lists its keys"
         return validated(cls, read_mapping(path, hint=hint, error=AlignmentError), path, hint=hint, error=AlignmentError)
+
+
+def other_equipment(calibrated: Mapping[str, str], told: Mapping[str, str]) -> list[str]:
+    """What a take says of its rig and suits (`streams.equipment`) that is other than what the calibration knows.
+
+    What either does not know is no difference.
+    """
+    both = sorted(calibrated.keys() & told.keys())
+    changed = [f"{what}: {calibrated[what]} then, {told[what]} now" for what in both if calibrated[what] != told[what]]
+    how = "recorded with another rig or suit than was calibrated, or after a change: calibrate it, or name its own calibration"
+    return [f"{how} ({'; '.join(changed)})"] if changed else []
 
 
 def rows(matrix: NDArray[np.float64]) -> Rows:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose import __version__
-from cabinpose.align.calibration import Calibration
+from cabinpose.align.calibration import Calibration, other_equipment
 from cabinpose.align.judge import judge_head
 from cabinpose.align.project import Aligned, align_take
-from cabinpose.align.streams import camera_identity, naming
+from cabinpose.align.streams import camera_identity, equipment, naming
 from cabinpose.align.visibility import visibility
 from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
@@ -159,7 +159,9 @@ def align_takes(
             people = [align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=correct_pose) for code in codes]
             with naming(recording, "the camera"):
                 doubt = calibration.check_camera(camera_identity(recording, calibration.names.tof))
+            told = equipment(recording, calibration.suits(codes))
             doubts = [*([doubt] if doubt else []), *calibration.differences(recording.head.host)]
+            doubts += other_equipment(calibration.equipment, told)
             warnings += [f"{path.name}: {what}" for what in doubts]
             take = recording.take if drive_side is None else recording.take.model_copy(update={"drive_side": drive_side})
             takes.append(_joined(path, sequence, take, people, calibration, correct_pose))

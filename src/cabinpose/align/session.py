@@ -24,6 +24,7 @@ from cabinpose.align.calibration import (
     PoseCorrection,
     Rigid,
     rows,
+    other_equipment,
 )
 from cabinpose.align.chain import rigid
 from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points
@@ -32,7 +33,7 @@ from cabinpose.align.intrinsics import IntrinsicsResult, calibrate_from_corners
 from cabinpose.align.judge import Placed, believed
 from cabinpose.align.pendulum import brightest_blob
 from cabinpose.align.posture import n_pose, optical_pose, pose_shifts
-from cabinpose.align.streams import camera_identity, frame_times, naming, on_host, seconds
+from cabinpose.align.streams import camera_identity, equipment, frame_times, naming, on_host, seconds
 from cabinpose.align.suit import HANDS_M, JOINT_POINTS, POINTS, Triple, suit_points
 from cabinpose.align.time import suit_to_optical, tof_to_optical, trusted
 from cabinpose.align.tracker import place_tracker
@@ -128,7 +129,7 @@ def calibrate(session: Session) -> Calibrated:
     names = session.names
     with _opened(session.board_take) as recording:
         views = board_views(recording, names, session.board)
-        identity = camera_identity(recording, names.tof)
+        identity, used = camera_identity(recording, names.tof), equipment(recording, {})
         with naming(recording, "the camera"):
             found, warnings = believed(
                 session.board, views, lambda board, seen: placed(session.model_copy(update={"board": board}), seen)
@@ -143,6 +144,9 @@ def calibrate(session: Session) -> Calibrated:
                 hint="record board and pendulum with one camera",
             )
         host = recording.head.host
+        told = equipment(recording, {})
+        warnings += [f"{session.pendulum_take.name}: {what}" for what in other_equipment(used, told)]
+        used = told | used
     heads, hosts, trackers = {}, {}, {}
     for code, subject in session.subjects.items():
         step = f"the head of {code} in the suit (a) against the optical one (b)"
@@ -150,6 +154,9 @@ def calibrate(session: Session) -> Calibrated:
             heads[code] = _head(recording, names, code, subject)
             trackers[code] = _tracker(recording, names, subject)
             hosts[subject.take.name] = recording.head.host
+            told = equipment(recording, {code: subject.suit or names.suit})
+            warnings += [f"{subject.take.name}: {what}" for what in other_equipment(used, told)]
+            used = told | used
     calibration = Calibration(
         names=names,
         intrinsics=Intrinsics(
@@ -163,6 +170,7 @@ def calibrate(session: Session) -> Calibrated:
         tof_to_optical=_plain(delay),
         host=host,
         camera=identity,
+        equipment=used,
         heads={
             code: Head(
                 suit=session.subjects[code].suit,

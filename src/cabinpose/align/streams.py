@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from cabinpose.store.recording import MarkerSeries, Recording, SegmentSeries
 
 F64 = NDArray[np.float64]
 Times = NDArray[np.int64]
+_FIRST_SAMPLES = 2000  # in which a suit says what it is: some seconds of all its messages
 
 
 def frame_times(recording: Recording, source: str) -> Times:
@@ -54,6 +56,21 @@ def camera_identity(recording: Recording, source: str) -> str:
             if isinstance(message, ToFFrame):
                 return ""
     return ""
+
+
+def equipment(recording: Recording, suits: Mapping[str, str]) -> dict[str, str]:
+    """What a take says of its rig beside the camera: its name for the rig, and of each suit the station (MVN's XMID).
+
+    suits: source of each subject's, by code. What is not said is left out.
+    """
+    told = {"rig": recording.take.rig} if recording.take.rig else {}
+    for code, source in suits.items():
+        samples = (sample for _, sample in islice(recording.samples([source]), _FIRST_SAMPLES))
+        facts = (message for sample in samples for message in sample.messages if isinstance(message, Facts))
+        station = next((str(fact.values["xmid"]) for fact in facts if fact.values.get("xmid")), "")
+        if station:
+            told[f"suit of {code}"] = station
+    return told
 
 
 @contextmanager

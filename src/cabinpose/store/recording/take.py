@@ -57,6 +57,10 @@ class Take(_Model):
     drive_side: DriveSide | None = Field(
         None, exclude_if=lambda side: side is None, description="Side of the wheel in the car; left out where it is not known."
     )
+    rig: Words = Field(
+        "", exclude_if=lambda name: not name,
+        description="The rig as it stands; another word once something is moved or exchanged, for it to be calibrated again.",
+    )  # fmt: skip
     subjects: tuple[Participant, ...] = Field((), description="The people recorded.")
 
     @field_validator("subjects")
@@ -81,6 +85,7 @@ class Take(_Model):
             "action": self.action,
             "car": self.car,
             **({} if self.drive_side is None else {"drive_side": self.drive_side}),
+            **({"rig": self.rig} if self.rig else {}),
         }
 
     @classmethod
@@ -90,5 +95,5 @@ class Take(_Model):
         subjects: list[dict[str, Any]] = [
             {"code": code, "seat": seat or None, "consent": consent} for code, seat, consent in zip(*columns, strict=True) if code
         ]
-        about = {key: values.get(key, "") for key in ("action", "car")}
+        about = {key: values.get(key, "") for key in ("action", "car", "rig")}
         return cls.model_validate({**about, "drive_side": values.get("drive_side"), "subjects": subjects})
