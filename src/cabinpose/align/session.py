@@ -23,8 +23,8 @@ from cabinpose.align.calibration import (
     Names,
     PoseCorrection,
     Rigid,
-    rows,
     other_equipment,
+    rows,
 )
 from cabinpose.align.chain import rigid
 from cabinpose.align.extrinsics import ExtrinsicsResult, camera_from_world, marker_pixels, marker_points

@@ -327,8 +327,9 @@ def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: 
         errors.append(task.errors(method.find(arrays, settings, seen), batch, settings))
     card = {"frames": len(frames), "seed": config.seed} | {n: round(value, 2) for n, value in task.figures(errors).items()}
     make_folder(out)
-    learnt = {TRAINED_ON: trained_on(training, 1)}
-    write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card, **learnt)
+    learnt = trained_on(training, 1)
+    known = {TRAINED_ON: learnt} if learnt else {}
+    write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card, **known)
     return best
 
 
