@@ -250,7 +250,7 @@ def _size_doubts(track: BodyTrack) -> Iterator[Doubt]:
         shown = (low, high, why) if possible else usual
         yield Doubt(
             f"{what} is {length:.3g} m, and {'possible' if possible else 'usual'} are {shown[0]:g} to {shown[1]:g} m"
-            f" ({shown[2]}){_other_unit(length, size.is_body)}",
+            f" ({shown[2]}){_other_unit(length, usual)}",
             "check the unit of length",
             impossible=possible,
         )
@@ -266,9 +266,9 @@ def _size_doubts(track: BodyTrack) -> Iterator[Doubt]:
         )
 
 
-def _other_unit(length_m: float, is_body: bool) -> str:
-    """Which confusions of two units would explain a length; "" where none would."""
-    low, high = LIMITS["usual_stature"][:2] if is_body else (0.05, 2.0)
+def _other_unit(length_m: float, usual: tuple[float, float, str]) -> str:
+    """Which confusions of two units would explain a length that is usual then; "" where none would."""
+    low, high, _ = usual
     units = ("m", "cm", "mm", "inch")
     found = [
         f"{one} were read as {other}" for one in units for other in units
