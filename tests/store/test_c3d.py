@@ -249,7 +249,10 @@ def test_slower_channels_are_held(tmp_path: Path) -> None:
     ("rows", "message"),
     [
         ([], "no markers"),
-        ([(0, 0, Markers("S", ("a",), np.ones((1, 3)), np.zeros(1)))] * 2, "fall into the frame"),
+        (
+            [(0, ns, Markers("S", ("a",), np.ones((1, 3)), np.zeros(1))) for ns in (0, 10**7, 2 * 10**7, 2 * 10**7 + 1)],
+            "fall into the frame",
+        ),
         ([(0, 0, Markers("S", ("a", "a"), np.ones((2, 3)), np.zeros(2)))], "one name"),
         ([(0, 10**9 * k, Markers("S", ("a",), np.ones((1, 3)), np.zeros(1))) for k in (0, 10**6)], "more than C3D counts"),
         ([*recording(), *[(0, k * 7_000_000, Channels(("x",), np.ones(1))) for k in range(9)]], "whole number"),
