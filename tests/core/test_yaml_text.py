@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -91,6 +92,15 @@ def test_what_cannot_be_read(tmp_path: Path, text: str, message: str) -> None:
     assert raised.value.hint == "see the docs"
 
 
+def test_brackets_that_nest_deep_are_refused_at_once() -> None:
+    began = time.process_time()
+    for text in ("a: " + "[" * 20_000, "a: " + "{ " * 20_000, "[" * 200_000):
+        with pytest.raises(yaml.YAMLError, match="nested too deep"):
+            parse_yaml(text)
+    assert time.process_time() - began < 0.5  # a second each, where PyYAML looks ahead
+    assert parse_yaml(f"a: {'[' * 50}{']' * 50}\nb: '{'[' * 400}'")["b"] == "[" * 400
+
+
 @pytest.mark.parametrize("text", ["[" * 200_000, "- " * 100_000, "{a: " * 60_000, "? " * 100_000, "a:\n" + " [\n" * 100_000])
 def test_long_text_that_nests_deep_is_refused(text: str) -> None:
     """The quick parser would end the process."""
@@ -100,7 +110,7 @@ def test_long_text_that_nests_deep_is_refused(text: str) -> None:
 
 def test_long_text_is_read_as_short_text_is() -> None:
     rows = "\n".join(
-        f"- {{n: {i}, x: {i / 7!r}, s: 'é {i}', d: 2026-01-0{i % 9 + 1}, t: [true, null, 0x1f]}}" for i in range(2500)
+        f"- {{n: {i}, x: {i / 7!r}, s: 'é {i:>99}', d: 2026-01-0{i % 9 + 1}, t: [true, null, 0x1f]}}" for i in range(700)
     )
     assert len(rows) > 100_000
     assert parse_yaml(rows) == [parse_yaml(row)[0] for row in rows.split("\n")[:50]] + yaml.safe_load(rows)[50:]

@@ -6,6 +6,7 @@ stands for a billion values.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from cabinpose.core.errors import CabinposeError, ConfigError
 _LONGEST = 8_000_000  # characters
 _LONG = 100_000  # which take a second without libyaml
 _FLAT = 300  # levels at the most
+_DEEP = re.compile(r"(?:[\[{]\s*){500}")  # deeper than recursion goes; PyYAML looks ahead for a second before it finds out
 _MOST_REPEATED = 100_000  # values that aliases add to those that are written down
 
 
@@ -40,8 +42,11 @@ def parse_yaml(text: str) -> Any:
     """
     if len(text) > _LONGEST:
         raise yaml.YAMLError(f"it has {len(text)} characters, more than {_LONGEST}")
+    loader = _QuickLoader if _is_long_and_flat(text) else _Loader
+    if loader is _Loader and _DEEP.search(text):
+        raise yaml.YAMLError("it is nested too deep")
     try:
-        return yaml.load(text, Loader=_QuickLoader if _is_long_and_flat(text) else _Loader)  # noqa: S506 - SafeLoaders
+        return yaml.load(text, Loader=loader)  # noqa: S506 - SafeLoaders
     except RecursionError:
         raise yaml.YAMLError("it is nested too deep") from None
     except ValueError as problem:  # a date that is none, for example
