@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -241,6 +242,18 @@ def test_tables_of_chosen_sources(run: Run, tmp_path: Path) -> None:
     assert (tmp_path / "csv" / "suit.poses.csv").exists()
 
 
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording, a folder, an MVNX file that was cut off after whole frames, a BVH file without motion; read only."""
+    folder = tmp_path_factory.mktemp("inputs")
+    recording(folder / "take.mcap")
+    (folder / "folder").mkdir()
+    write_mvnx(folder / "a.mvnx", motion())
+    (folder / "a.mvnx").write_bytes((folder / "a.mvnx").read_bytes()[:-300])
+    (folder / "a.bvh").write_text("HIERARCHY\n")
+    return folder
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -276,19 +289,16 @@ def test_tables_of_chosen_sources(run: Run, tmp_path: Path) -> None:
         (("import", "mvnx", "a.mvnx", "--out", "nowhere/x.mcap"), "nowhere"),
     ],
 )
-def test_mistakes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], message: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    take = recording(tmp_path / "take.mcap").read_bytes()
-    (tmp_path / "folder").mkdir()
-    write_mvnx(tmp_path / "a.mvnx", motion())
-    (tmp_path / "a.mvnx").write_bytes((tmp_path / "a.mvnx").read_bytes()[:-300])  # cut off after whole frames
-    (tmp_path / "a.bvh").write_text("HIERARCHY\n")
+def test_mistakes(
+    run: Run, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], message: str
+) -> None:
+    monkeypatch.chdir(shutil.copytree(inputs, tmp_path, dirs_exist_ok=True))
     code, out, err = run(*arguments)
     assert (code, out) == (2, "")
     assert message in err
     assert "hint: " in err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.bvh", "a.mvnx", "folder", "take.mcap"]
-    assert (tmp_path / "take.mcap").read_bytes() == take
+    assert (tmp_path / "take.mcap").read_bytes() == (inputs / "take.mcap").read_bytes()
 
 
 def test_overwriting_keeps_what_was_there_until_the_new_is_whole(run: Run, tmp_path: Path) -> None:
