@@ -7,13 +7,22 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from cabinpose.core import OutputError, check_output, interrupts_held, whole_file, whole_folder, write_together, write_whole
+from cabinpose.core import (
+    OutputError,
+    check_output,
+    interrupts_held,
+    make_folder,
+    whole_file,
+    whole_folder,
+    write_together,
+    write_whole,
+)
 
 _KILLED = """
 import os, sys
@@ -83,6 +92,45 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.M
         write_together(tmp_path / "none", {"a": "new"})
     assert not (tmp_path / "none").exists()
     assert {path.name: path.read_text() for path in (tmp_path / "out").iterdir()} == {"a": "old", "b": "old"}
+
+
+def test_a_folder_that_cannot_be_moved_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one of a lower layer of an overlay, which in a container all of the image are."""
+    old = tmp_path / "out"
+    old.mkdir()
+    (old / "a").write_text("old")
+    rename = Path.rename
+
+    def refuse(self: Path, target: Path) -> Path:
+        if self == old:
+            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(self), None, str(target))
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(OutputError, match=r"cannot replace .*out as a whole") as error, whole_folder(old) as new:
+        new.mkdir()
+    assert error.value.hint == "remove it first, or give another"
+    assert (old / "a").read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOENT])
+@pytest.mark.parametrize("write", [lambda path: write_whole(path, "new"), make_folder])
+def test_a_name_that_the_file_system_does_not_take(
+    write: Callable[[Path], None], number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As FAT and exFAT do of a colon: the kernel says the first, drivers of FUSE the second."""
+    mkdir = os.mkdir
+
+    def refuse(path: Path, mode: int = 0o777) -> None:
+        if ":" in os.fspath(path):
+            raise OSError(number, os.strerror(number), path)
+        mkdir(path, mode)
+
+    monkeypatch.setattr(os, "mkdir", refuse)
+    write(tmp_path / "out")
+    with pytest.raises(OutputError, match="out:2: its file system takes no such name"):
+        write(tmp_path / "out:2")
 
 
 def test_names_as_long_as_may_be_and_links(tmp_path: Path) -> None:

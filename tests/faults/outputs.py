@@ -2,6 +2,7 @@
 
     python tests/faults/outputs.py                       # all commands and faults
     python tests/faults/outputs.py --most 8 view import-coco
+    python tests/faults/outputs.py --on /dev/shm synth   # outputs on another file system than temporary files
 
 prints a table of what came of them. Commands run in children of a process that has `shim.c` preloaded, which counts the system
 calls that change what lies under the folder of outputs; `--most` bounds how many calls of a command are tried with each fault.
@@ -37,9 +38,10 @@ from cabinpose.core import CabinposeError, left_before
 
 HERE = Path(__file__).parent
 sys.path += [str(HERE.parent / room) for room in ("cli", "store", "estimate", "record", "cabin", "evaluate")]
-NOTHING, KILL, FULL, READ_ONLY, INT, TERM, STOP = range(7)  # as in shim.c
-FAULTS = {"kill": KILL, "full disk": FULL, "read-only": READ_ONLY, "Ctrl-C": INT, "SIGTERM": TERM}
-CODES = {KILL: -signal.SIGKILL, FULL: 2, READ_ONLY: 2, INT: 130, TERM: 143}
+NOTHING, KILL, FULL, READ_ONLY, INT, TERM, STOP, NO_LOCKS = range(8)  # as in shim.c
+FAULTS = {"kill": KILL, "full disk": FULL, "read-only": READ_ONLY, "Ctrl-C": INT, "SIGTERM": TERM, "no locks": NO_LOCKS}
+CODES = {KILL: -signal.SIGKILL, FULL: 2, READ_ONLY: 2, INT: 130, TERM: 143, NO_LOCKS: 0}
+EVER = {READ_ONLY: (1,), NO_LOCKS: (1, 2)}  # of faults that are there from the start: their kinds, in place of calls
 LIMIT_S = 300
 Tree = dict[str, bytes]
 
@@ -319,6 +321,8 @@ class Trial:
             yield "lost"
         if not self.command.grows and any(self._differs(name, content) for name, content in found.items()):
             yield "half a file"
+        if done.code == 0 and found.keys() != self.sound.keys():
+            yield "not all of it"
         if self.command.whole and found and found.keys() != self.sound.keys():
             yield "half a folder"
         if fault == KILL:
@@ -388,13 +392,21 @@ def tried(name: str, trial: Trial, most: int, faults: Sequence[str]) -> dict[str
     for label in faults:
         fault, problems, runs = FAULTS[label], Counter[str](), 0
         for old in (False,) if trial.command.again is None else (False, True):
-            for at in (1,) if fault == READ_ONLY else chosen(trial.calls + 2 * old, most):
+            for at in EVER.get(fault) or chosen(trial.calls + 2 * old, most):
                 runs += 1
                 for problem in trial.problems(fault, at, old=old):
                     problems[problem] += 1
                     sys.stderr.write(f"{name}, {label} at call {at}{', replacing' if old else ''}: {problem}\n")
         result[label] = runs, problems
     return result
+
+
+def load_all() -> None:
+    """Import every module, once for all children."""
+    for module in pkgutil.walk_packages(cabinpose.__path__, "cabinpose."):
+        if not module.name.endswith("__main__"):
+            with suppress(ImportError, CabinposeError):  # of an extra that is not installed
+                importlib.import_module(module.name)
 
 
 def tell(*cells: str) -> None:
@@ -410,16 +422,14 @@ def main() -> int:
     parser.add_argument("--most", type=int, default=1000)
     parser.add_argument("--faults", nargs="*", choices=list(FAULTS), default=list(FAULTS))
     parser.add_argument("--inputs", type=Path, help="a folder of inputs that an earlier run made, or is to make")
+    parser.add_argument("--on", type=Path, help="a folder of another file system, to make the outputs in")
     given = parser.parse_args()
     names = given.commands or list(COMMANDS)
     global SHIM
     SHIM = Shim()
-    for module in pkgutil.walk_packages(cabinpose.__path__, "cabinpose."):  # once, for all children
-        if not module.name.endswith("__main__"):
-            with suppress(ImportError, CabinposeError):  # of an extra that is not installed
-                importlib.import_module(module.name)
+    load_all()
     failed = False
-    with TemporaryDirectory() as temporary:
+    with TemporaryDirectory() as temporary, TemporaryDirectory(dir=given.on) as work:
         inputs = given.inputs or Path(temporary) / "inputs"
         if not inputs.exists():
             make_inputs(inputs, session=bool({"calibrate", "align"} & set(names)))
@@ -427,7 +437,7 @@ def main() -> int:
         for name in names:
             began = time.monotonic()
             try:
-                trial = Trial(COMMANDS[name], inputs, Path(temporary) / "work")
+                trial = Trial(COMMANDS[name], inputs, Path(work))
             except RuntimeError as error:
                 failed = True
                 sys.stderr.write(f"{error}\n")
@@ -437,20 +447,20 @@ def main() -> int:
             tell(name, str(trial.calls), *cells, f"{time.monotonic() - began:.0f}")
             failed |= any(bad for _, bad in found.values())
         for first, second in ((a, b) for group in SHARED for a in group for b in group if {a, b} <= set(names)):
-            trial = Trial(COMMANDS[first], inputs, Path(temporary) / "work")
+            trial = Trial(COMMANDS[first], inputs, Path(work))
             bad = list(beside(trial, COMMANDS[second]))
             tell(f"{second} into what {first} writes", ", ".join(bad) or "held")
             failed |= bool(bad)
     return int(failed)
 
 
-def preloaded(words: Sequence[str], *, captured: bool = True) -> subprocess.CompletedProcess[str]:
-    """Run this module with the shim, which is built first."""
+def preloaded(words: Sequence[str], *, captured: bool = True, script: str = __file__) -> subprocess.CompletedProcess[str]:
+    """Run this module, or another one of this folder, with the shim, which is built first."""
     with TemporaryDirectory() as folder:
         library = Path(folder) / "shim.so"
         subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(HERE / "shim.c"), "-ldl"], check=True)
         environment = os.environ | {"LD_PRELOAD": str(library), "CABINPOSE_SHIM": "1", "OMP_NUM_THREADS": "1"}
-        start = [sys.executable, __file__, *words]
+        start = [sys.executable, script, *words]
         return subprocess.run(start, env=environment, check=False, text=True, capture_output=captured)
 
 

@@ -11,11 +11,12 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/uio.h>
 #include <unistd.h>
 
-enum { NOTHING, KILL, FULL, READ_ONLY, SIGNAL_INT, SIGNAL_TERM, STOP };
+enum { NOTHING, KILL, FULL, READ_ONLY, SIGNAL_INT, SIGNAL_TERM, STOP, NO_LOCKS };
 
 static char under[PATH_MAX];
 static long at = 0;
@@ -133,3 +134,9 @@ int renameat(int folder, const char *path, int to_folder, const char *to) {
     return counts && refused(0, -1, 0, 0) ? -1 : real(folder, path, to_folder, to);
 }
 int rename(const char *path, const char *to) { return renameat(AT_FDCWD, path, AT_FDCWD, to); }
+
+int flock(int fd, int operation) { /* of a file system without locks: NFS says the first, others the second */
+    REAL(int, "flock", int, int);
+    if (counted && mode == NO_LOCKS && of_descriptor(fd)) return errno = at == 1 ? ENOLCK : EOPNOTSUPP, -1;
+    return real(fd, operation);
+}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import lost
 import outputs
 import pytest
 
@@ -17,4 +20,21 @@ REST = tuple(name for name in outputs.COMMANDS if not any(name in names for name
 @pytest.mark.parametrize(("names", "most"), [(REST, 3), *((names, 2) for names in LONG.values())], ids=["the rest", *LONG])
 def test_outputs_are_whole_or_absent(names: tuple[str, ...], most: int) -> None:
     done = outputs.preloaded(["--most", str(most), *names])
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.faults
+def test_outputs_on_another_file_system_than_temporary_files(tmp_path: Path) -> None:
+    other = Path("/dev/shm")
+    if not other.exists() or other.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("needs /dev/shm")
+    done = outputs.preloaded(["--most", "2", "--on", str(other), "synth", "train", "import-coco", "predict"])
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.faults
+def test_a_kill_costs_no_more_than_docs_say() -> None:
+    done = outputs.preloaded([], script=lost.__file__)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -93,6 +94,18 @@ def test_second_writer_is_told(tmp_path: Path) -> None:
         opened(tmp_path / "labels.jsonl")
     labels.close()
     opened(tmp_path / "labels.jsonl").close()
+
+
+def test_a_file_system_without_locks_keeps_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    monkeypatch.setattr("fcntl.flock", refused)
+    labels, other = opened(tmp_path / "labels.jsonl"), opened(tmp_path / "labels.jsonl")
+    labels.set([(HEAD, A)], role="annotator", how="placed")
+    with pytest.raises(DatasetError, match="was changed by another program"):
+        other.set([(HEAD, B)], role="annotator", how="placed")
+    assert read_labels(labels.path)[1][HEAD].uv == A.uv
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")

@@ -37,6 +37,10 @@ def unwritable(path: Path, error: OSError, kind: type[CabinposeError] = OutputEr
         return kind(f"no space left while writing {path}", hint="free some disk space, then run the same command again")
     if error.errno == errno.ENAMETOOLONG:
         return kind(f"cannot write {path}: the name is too long", hint="give a shorter one")
+    if error.errno == errno.EXDEV:  # a folder of a lower layer, as of a container's image, or under a quota of its own
+        return kind(
+            f"cannot replace {path} as a whole: its file system moves the folder no more", hint="remove it first, or give another"
+        )
     return kind(f"cannot write {path}: {error.strerror or error}", hint="give a place in a folder that you may write to")
 
 
@@ -173,7 +177,16 @@ def whole_folder(path: Path, *, kind: type[CabinposeError] = OutputError) -> Ite
 def make_folder(path: Path, kind: type[CabinposeError] = OutputError) -> None:
     """Make a folder for outputs, and those above it, unless it is there. Where it is a link, what the link leads to."""
     with output_errors(path, kind):
-        _real(path).mkdir(parents=True, exist_ok=True)
+        _make(_real(path), path, kind, parents=True)
+
+
+def _make(folder: Path, told: Path, kind: type[CabinposeError], *, parents: bool = False) -> None:
+    try:
+        folder.mkdir(parents=parents, exist_ok=True)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOENT):  # as FAT and exFAT refuse a colon
+            raise
+        raise kind(f"cannot write {told}: its file system takes no such name", hint="give one of letters and digits") from error
 
 
 def write_whole(path: Path, content: str | bytes, *, kind: type[CabinposeError] = OutputError, told: Path | None = None) -> None:
@@ -288,7 +301,7 @@ def _locked(stage: Path, told: Path, kind: type[CabinposeError]) -> int:
     while True:
         if stage.is_file():
             stage.unlink()  # of an earlier version
-        stage.mkdir(exist_ok=True)
+        _make(stage, told, kind)
         with suppress(FileNotFoundError):
             held = lock(stage, told, kind)
             with suppress(FileNotFoundError):

@@ -209,11 +209,13 @@ def _locked(path: Path) -> FileIO:
         raise DatasetError(f"{path} cannot be written ({error.strerror})", hint="name another file for the labels") from error
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
+    except BlockingIOError as error:
         file.close()
         raise DatasetError(
             f"{path} is open in another studio", hint="close that one, or name another file with --labels"
         ) from error
+    except OSError:
+        pass  # a file system without locks: `Labels.check` notices what another studio writes
     file.seek(0)
     return file
 
