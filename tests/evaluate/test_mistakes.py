@@ -419,3 +419,38 @@ def test_on_real_people(real_data: Callable[[str], Path]) -> None:
     wrong = {"mm": 1000 * given, "y mirrored": given * [1, -1, 1], "sides": given[:, :, mirror]}
     for name, answers in wrong.items():
         assert [each.mistakes for each in explanations(replace(made, given=Positions(none, answers)))] == [(name,)]
+
+
+def elsewhere(case: Case, predictions: Predictions, options: EvaluationOptions = OPTIONS) -> tuple[float, list[str]]:
+    report = evaluate(case.dataset, predictions, options)
+    (share,) = (v.value for v in report.values if v.metric == "people found in another's place")
+    return share, [note for note in report.notes if "another's place" in note]
+
+
+def test_seats_exchanged_in_some_frames_are_counted_and_named(case: Case) -> None:
+    """Too few frames for a mistake of the file; an overlay of joints without names looks right."""
+    swapped = np.arange(FRAMES)[:, None, None, None] % 5 == 3  # frames 3 and 8
+    share, notes = elsewhere(
+        case, _all(lambda a: np.where(swapped if a.ndim == 4 else swapped[..., 0], a[:, ::-1], a))(case.good)
+    )
+    assert share == pytest.approx(100 * 4 / 24)
+    assert notes == ["4 of 24 people were found, but in another's place (frames 3, 8): their joints count as wrong"]
+    assert elsewhere(case, case.good) == (0.0, [])
+
+
+def test_an_answer_that_is_of_its_own_person_is_not_of_who_is_behind(case: Case) -> None:
+    """Both are seen at nearly the same pixels; the one behind has no answer."""
+    truth = case.dataset.joints_2d.values
+    hidden = case.dataset.assign(joints_2d=(case.dataset.joints_2d.dims, truth[:, [0, 0]]))
+    alone = _all(
+        lambda a: np.where((np.arange(2) == 1)[:, None, None] if a.ndim == 4 else (np.arange(2) == 1)[:, None], np.nan, a)
+    )
+    only_driver = alone(replace(case.good, joints_2d=truth.astype(np.float32)))
+    only_driver = replace(only_driver, presence=np.nan_to_num(only_driver.presence), score=np.nan_to_num(only_driver.score))
+    assert elsewhere(case._replace(dataset=hidden), only_driver) == (0.0, [])
+
+
+def test_who_is_matched_by_the_assignment_is_in_nobodys_place(case: Case) -> None:
+    swapped = _all(lambda a: a[:, ::-1])(case.good)
+    assert elsewhere(case, swapped, replace(OPTIONS, match="oks"))[0] == 0.0
+    assert elsewhere(case, swapped)[0] == 100.0

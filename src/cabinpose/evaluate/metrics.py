@@ -162,6 +162,11 @@ def _people_recall(view: SampleView) -> Iterator[Number]:
     return view.share((counting & view.samples.predicted)[:, None], counting[:, None], _PEOPLE, people=True)
 
 
+def _elsewhere(view: SampleView) -> Iterator[Number]:
+    counting = np.asarray(view.samples.counts.any(axis=1))[:, None]
+    return view.share(view.samples.elsewhere[:, None], counting, _PEOPLE, people=True)
+
+
 def _oks(view: SampleView) -> Iterator[Number]:
     if view.errors.found.any():
         counting = np.asarray(view.samples.counts.any(axis=1))[:, None]
@@ -248,6 +253,7 @@ TABLE: Mapping[str, Metric] = MappingProxyType(
         "presence_recall": _of_image("presence recall", "%", "more", _presence_recall),
         "presence_precision_of_people": _of_image("presence precision", "%", "more", _people_precision),
         "presence_recall_of_people": _of_image("presence recall", "%", "more", _people_recall),
+        "people_elsewhere": _of_image("people found in another's place", "%", "less", _elsewhere),
         "oks": Metric("OKS", "", "more", _oks, spaces=("2d",)),
         "median_error": Metric("median error", "{length}", "less", _median_and_p95),  # and the 95th percentile, in one go
         "average_precision": Metric("AP", "%", "more", _average_precision, spaces=("2d",)),

@@ -51,6 +51,7 @@ from cabinpose.store import (
 
 CHUNK = 512  # frames of joints at a time
 BATCH = 16  # frames of images at a time, for a detector
+_NAMED_FRAMES = 5  # in a note
 TRIAL_FRAMES = 600  # on which mistakes are tried
 
 Progress = Callable[[int], None]  # called with the number of frames done
@@ -237,6 +238,7 @@ def _caveats(
     frames, skeleton = samples.frames, samples.skeleton
     trial = _trial(dataset, model, skeleton, kept, tuple(persons), options)
     notes = [*model.remarks] if isinstance(model, Predictions) else []
+    notes += _elsewhere(samples)
     notes += remarks(joined([each.batch for each in kept]), trial.size, options.presence)
     absent = int((~np.isin(frames, model.frame)).sum()) if isinstance(model, Predictions) else 0
     if absent:
@@ -247,6 +249,19 @@ def _caveats(
     return Caveats(
         len(frames), len(frames) - absent, identity_of(model, dataset), explanations(trial), tuple(notes), trained_on=learnt
     )
+
+
+def _elsewhere(samples: Samples) -> list[str]:
+    """What is said of people who were found in another's place, which an overlay without names does not show."""
+    rows = np.flatnonzero(samples.elsewhere)
+    if not rows.size:
+        return []
+    frames = list(dict.fromkeys(samples.frames[samples.at[rows]].tolist()))
+    named = ", ".join(map(str, frames[:_NAMED_FRAMES])) + (
+        f" and {len(frames) - _NAMED_FRAMES} more" * (len(frames) > _NAMED_FRAMES)
+    )
+    people = int(samples.counts.any(axis=1).sum())
+    return [f"{rows.size} of {people} people were found, but in another's place (frames {named}): their joints count as wrong"]
 
 
 def _trial(

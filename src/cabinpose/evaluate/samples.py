@@ -21,6 +21,8 @@ from cabinpose.evaluate.options import THESIS_HEAD_M, THESIS_HEAD_PX, Evaluation
 Float = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
+_LIKE = 0.5  # OKS from which an answer is of a person, COCO's loosest threshold
+
 
 class TruthChunk(NamedTuple):
     """The reference of F frames of P slots and J joints.
@@ -59,9 +61,11 @@ class Samples(NamedTuple):
 
     frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · visibility: (S, J) · counts: (S, J) joints that
     count · absent: (S, J) joints that a right prediction leaves out · found: (S, J) · true, predicted: (S,) whether the person
-    is there · oks: (S,). A joint that neither counts nor is absent is too hidden to judge: it is neither right nor wrong.
-    presence, score, expected (m): (S, J) of each joint with a position, however improbable, NaN of the others; near: (S, J)
-    whether that position is within d of the truth. People of whom only improbable joints are known have a row as well.
+    is there · oks: (S,) · elsewhere: (S,) whether the person was found, but in another's place: an answer for another place is
+    like them (OKS of 0.5 or more) and not like who is there, and the one for theirs is not. A joint that neither counts nor is
+    absent is too hidden to judge: it is neither right nor wrong. presence, score, expected (m): (S, J) of each joint with a
+    position, however improbable, NaN of the others; near: (S, J) whether that position is within d of the truth. People of whom
+    only improbable joints are known have a row as well.
     """
 
     skeleton: Skeleton
@@ -74,6 +78,7 @@ class Samples(NamedTuple):
     true: Bool
     predicted: Bool
     oks: Float
+    elsewhere: Bool
     px: Space
     m: Space
     detections: Detections
@@ -173,11 +178,14 @@ def _samples(
     told = given.presence, given.score, given.expected_error_m
     presence, score, expected = (np.where(answered, values, np.float32(np.nan))[f, p] for values in told)
 
-    similarity = np.zeros((frames, places.shape[1]), np.float32)
+    similarity, elsewhere = np.zeros((frames, places.shape[1]), np.float32), np.zeros((frames, places.shape[1]), bool)
     detections = []
     for i in range(frames):
         matrix = oks(batch.joints_2d[i], true_2d[i], counts[i], area[i], sigma, box[i])
         similarity[i] = np.diagonal(matrix)
+        right = similarity[i] >= _LIKE  # an answer that is of its own person is nobody else's, who may be behind them
+        free = np.where(right[:, None], 0.0, matrix).max(axis=0, initial=0.0)
+        elsewhere[i] = counts[i].any(axis=-1) & ~right & (free >= _LIKE)
         detections.append(_detections(seen + i, matrix, batch.score[i], found_2d[i], true[i], counts[i].any(axis=-1)))
     jitter_2d, jitter_3d = _jitter(last_frames, truth, batch.joints_2d - true_2d, batch.joints_3d - true_3d)
     return Samples(
@@ -191,6 +199,7 @@ def _samples(
         true[f, p],
         predicted[f, p],
         similarity[f, p],
+        elsewhere[f, p],
         _space(skeleton, batch.joints_2d[f, p], true_2d[f, p], found_2d[f, p], head_2d[f, p], jitter_2d[f, p]),
         _space(skeleton, batch.joints_3d[f, p], true_3d[f, p], found_3d[f, p], head_3d[f, p], jitter_3d[f, p]),
         _concatenated(detections),
