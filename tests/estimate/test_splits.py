@@ -17,14 +17,17 @@ from cabinpose.app.training import individuals, read_train_config, stored_frames
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import StoredFrames
 from cabinpose.estimate.training import TrainConfig, frame_spec
-from cabinpose.store.split import people_of
+from cabinpose.store.split import held_out, people_of
 from cabinpose.synth.config import SynthConfig
 
 
 def dataset(subjects: list[tuple[str, ...]], seed: int = 7) -> xr.Dataset:
     made = small.dataset(len(subjects))
     return made.assign_coords(
-        subject=(("frame", "person"), np.array(subjects, dtype=object)), seed=("frame", np.full(len(subjects), seed))
+        subject=(("frame", "person"), np.array(subjects, dtype=object)),
+        seed=("frame", np.full(len(subjects), seed)),
+        car=("frame", ["van"] * len(subjects)),
+        sequence=("frame", np.zeros(len(subjects), np.int64)),
     )
 
 
@@ -64,16 +67,46 @@ def test_people_on_both_sides_are_named(tmp_path: Path) -> None:
     assert "subject" in caught.value.hint
 
 
-def test_one_subject_cannot_be_split() -> None:
-    with pytest.raises(DatasetError, match="it: 1 subject"):
-        split(dataset([("A", "", "")] * 3))
+def test_people_who_are_always_together_are_held_out_together() -> None:
+    """The last by name, D, is never alone."""
+    training, validation = split(dataset([("A", "B", "")] * 3 + [("C", "D", "")] + [("", "B", "A")]))
+    assert (people_of(training), people_of(validation)) == ({"A", "B"}, {"C", "D"})
+    assert [side.sizes["frame"] for side in (training, validation)] == [4, 1]
 
 
-def test_a_side_without_frames_is_refused() -> None:
-    with pytest.raises(DatasetError, match="it: there is no frame in 'train'"):
-        split(dataset([("A", "B", ""), ("A", "B", "")]))
-    with pytest.raises(DatasetError, match="no frame in 'validate'"):
-        split(dataset([("A", "B", ""), ("A", "", "")]))
+def test_a_share_is_met_as_near_as_people_allow() -> None:
+    given = alone(*"AAAAABBBCC")
+    for share, name in ((0.2, "C"), (0.3, "B"), (0.5, "A")):
+        cut = held_out(given, share)
+        assert people_of(cut.validate) == {name}
+        assert not cut.words
+
+
+@pytest.mark.parametrize(
+    "subjects",
+    [
+        pytest.param([("A", "", "")] * 10, id="one person"),
+        pytest.param([("A", "B", "")] * 10, id="always together"),
+        pytest.param([("A", "B", ""), ("A", "", "")] * 5, id="one of them always there"),
+        pytest.param([("A", "B", ""), ("B", "C", ""), ("C", "A", "")] * 3 + [("A", "B", "")], id="all with all"),
+    ],
+)
+def test_where_nobody_can_be_held_out_frames_are_and_it_is_told(subjects: list[tuple[str, ...]]) -> None:
+    given = dataset(subjects)
+    with pytest.warns(UserWarning, match="it: nobody can be held out.*validated on the last frames \\(2 frames\\)"):
+        training, validation = split(given)
+    assert validation["frame"].values.tolist() == [8, 9]
+    assert training["frame"].values.tolist() == list(range(8))
+    cars = given.assign_coords(car=("frame", ["van"] * 7 + ["suv"] * 3))
+    cut = held_out(cars, 0.3)
+    assert (cut.by, cut.validate["car"].values.tolist()) == ("car", ["suv"] * 3)
+    cut = held_out(given.assign_coords(sequence=("frame", [0] * 4 + [1] * 4 + [2] * 2)), 0.2)
+    assert (cut.by, cut.validate["frame"].values.tolist()) == ("sequence", [8, 9])
+
+
+def test_a_single_frame_cannot_be_split() -> None:
+    with pytest.raises(DatasetError, match="it: a single frame"):
+        split(dataset([("A", "", "")]))
 
 
 def alone(*subjects: str, seed: int = 7) -> xr.Dataset:

@@ -33,14 +33,15 @@ def read_train_config(path: Path | None, method: str | None) -> TrainConfig:
 
 
 def training_split(
-    datasets: Mapping[str, xr.Dataset], splits: Path | None, train: str, validate: str
+    datasets: Mapping[str, xr.Dataset], splits: Path | None, train: str, validate: str, *, share: float | None = None
 ) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]]:
     """Frames to learn from and frames to validate on, by the name of the dataset that they are of; nobody is in both.
 
-    Without a file of splits, some of the subjects of each dataset are held out: those last in the order of names, and every
-    frame that shows one of them. With one, a dataset may be on one side alone. Raises DatasetError where a dataset is on no
-    side, a side is empty, or the sides share people, whichever datasets these are in.
+    Without a file of splits, some of the subjects of each dataset are held out, see `held_out`, about a `share` of its frames;
+    where that cannot be, a warning says that the two share people. With one, a dataset may be on one side alone. Raises
+    DatasetError where a dataset is on no side, a side is empty, or the sides share people, whichever datasets these are in.
     """
+    told: set[tuple[str, int | None]] = set()
     if splits is not None:
         parts = split_datasets(list(datasets.values()), read_splits(splits, (train, validate)))
         pairs = list(zip(parts[train], parts[validate], strict=True))
@@ -48,7 +49,11 @@ def training_split(
         pairs = []
         for name, dataset in datasets.items():
             with _said_of(name):
-                pairs.append(held_out(dataset, train, validate))
+                cut = held_out(dataset, share)
+            if cut.words:
+                warnings.warn(f"{name}: {cut.words}", stacklevel=2)
+                told |= individuals(dataset)
+            pairs.append((cut.train, cut.validate))
     sides: tuple[dict[str, xr.Dataset], dict[str, xr.Dataset]] = {}, {}
     for name, pair in zip(datasets, pairs, strict=True):
         for side, part in zip(sides, pair, strict=True):
@@ -60,7 +65,7 @@ def training_split(
                 hint="leave this dataset out, or mend the file of --splits",
             )
     learnt, judged = (set().union(*map(individuals, side.values())) for side in sides)
-    shared = sorted({name for name, _ in learnt & judged})
+    shared = sorted({name for name, _ in (learnt & judged) - told})
     if shared:
         more = f" and {len(shared) - _NAMES} more" if len(shared) > _NAMES else ""
         raise DatasetError(
@@ -82,14 +87,15 @@ def individuals(dataset: xr.Dataset) -> set[tuple[str, int | None]]:
 
 
 def stored_frames(
-    datasets: Mapping[str, xr.Dataset], spec: FrameSpec, splits: Path | None, train: str, validate: str
-) -> tuple[Frames, Frames]:
-    """Training and validation frames of datasets by their names, one dataset after the other.
+    datasets: Mapping[str, xr.Dataset], spec: FrameSpec, splits: Path | None, train: str, validate: str, *,
+    share: float | None = None,
+) -> tuple[Frames, Frames]:  # fmt: skip
+    """Training and validation frames of datasets by their names, one dataset after the other; share: as of `training_split`.
 
     Frames are kept in memory all together or not at all. Joints that different sources placed, of the same names, are learnt
     together with a warning. Raises DatasetError as `training_split` and `StoredFrames` do.
     """
-    sides = training_split(datasets, splits, train, validate)
+    sides = training_split(datasets, splits, train, validate, share=share)
     keep = fits_memory(sum(part.sizes["frame"] for side in sides for part in side.values()), spec)
     training, validation = (_joined(side, spec, keep=keep) for side in sides)
     whose = {name: dataset_skeleton(dataset, spec.skeleton).definition for name, dataset in datasets.items()}

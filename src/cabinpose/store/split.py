@@ -11,10 +11,10 @@ ever seen in training; frames with nobody in them belong to no such selection.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,43 +122,92 @@ def _mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
     return mask
 
 
-def held_out(dataset: xr.Dataset, train: str, validate: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Frames to learn from and frames to validate on, with nobody in both.
+class HeldOut(NamedTuple):
+    """Frames to learn from and to validate on. by: the coordinate whose values were held out, or "frame" · words: what to say
+    where the two show the same people; "" where nobody is in both.
+    """
 
-    The subjects held out are 15 % of them, those last in the order of names. Frames that show one of them beside others are in
-    neither.
+    train: xr.Dataset
+    validate: xr.Dataset
+    by: str
+    words: str
+
+
+def held_out(dataset: xr.Dataset, share: float | None = None) -> HeldOut:
+    """Frames to learn from and frames to validate on, with nobody in both wherever that can be.
+
+    The subjects held out are 15 % of them, those last in the order of names; frames that show one of them beside others are in
+    neither. Where that leaves one of the two empty, or a share is given, they are those people, always together or alone, whose
+    frames are nearest to the share of all. Where everybody is seen with everybody else, a car is held out, or the last sequences,
+    or the last frames: these show people that are learnt from.
 
     Parameters
     ----------
     dataset
         The frames.
-    train, validate
-        What error messages call the two.
+    share
+        Of the frames that validate, 0 to 1.
 
     Raises
     ------
     DatasetError
-        Where there are fewer than two subjects, or one of the two is empty.
+        For a single frame.
     """
-    subjects = sorted(people_of(dataset))
-    count = max(1, round(_HELD_OUT * len(subjects)))
-    if len(subjects) < 2:
-        raise DatasetError(
-            f"{len(subjects)} subject cannot be split into training and validation",
-            hint="generate more people, or name the splits with --splits",
+    subject = dataset["subject"].values.astype(str)
+    people = sorted(people_of(dataset))
+    last = people[-max(1, round(_HELD_OUT * len(people))) :]
+    wanted = (_HELD_OUT if share is None else share) * len(subject)
+    usual = _apart(subject, last)
+    if share is None and usual[0].any() and usual[1].any():
+        return _cut(dataset, *usual, "subject")
+    possible = (_apart(subject, who) for who in _together(subject, people))
+    candidates = [sides for sides in possible if sides[0].any() and sides[1].any()]
+    if candidates:
+        lost = [(~(learnt | judged)).sum() for learnt, judged in candidates]
+        best = min(range(len(candidates)), key=lambda i: abs(candidates[i][1].sum() - wanted) + lost[i])
+        return _cut(dataset, *candidates[best], "subject")
+    for name in ("car", "sequence"):
+        values = dataset[name].values
+        if len(there := np.unique(values)) > 1:
+            by_value = min((values == value for value in there), key=lambda held: abs(held.sum() - wanted))
+            return _cut(dataset, ~by_value, by_value, name)
+    count = min(max(1, round(wanted)), len(subject) - 1)
+    if not count:
+        raise DatasetError("a single frame cannot be split into training and validation", hint="give more frames")
+    tail = np.arange(len(subject)) >= len(subject) - count
+    return _cut(dataset, ~tail, tail, "frame")
+
+
+def _apart(subject: NDArray[np.str_], who: Sequence[str]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(F,) the frames that show none of some people, and those that show nobody else; subject: (F, P)."""
+    held, there = np.isin(subject, who), subject != ""
+    return ~held.any(axis=1), (held | ~there).all(axis=1) & there.any(axis=1)
+
+
+def _together(subject: NDArray[np.str_], people: Sequence[str]) -> Iterator[list[str]]:
+    """People whom one may hold out: everybody alone, and the groups of those who are seen together."""
+    yield from ([name] for name in people)
+    number = np.searchsorted(people, subject)
+    groups = np.arange(len(people))
+    for frame, there in zip(number, subject != "", strict=True):
+        seen = groups[frame[there]]
+        groups[np.isin(groups, seen)] = seen.min(initial=len(people))
+    for group in np.unique(groups):
+        if (groups == group).sum() > 1:
+            yield [people[i] for i in np.flatnonzero(groups == group)]
+
+
+def _cut(dataset: xr.Dataset, learnt: NDArray[np.bool_], judged: NDArray[np.bool_], by: str) -> HeldOut:
+    """The two sides, and what to say of them."""
+    words = ""
+    if by != "subject":
+        what = "the last frames" if by == "frame" else f"a {by}"
+        words = (
+            f"nobody can be held out, since everybody is seen beside everybody else: validated on {what} ({judged.sum()} frames)"
+            " with people that are learnt from, so that figures are better than on people nobody has seen"
         )
-    chosen = subjects[-count:]
-    held = np.isin(dataset["subject"].values, chosen)
-    there = dataset["subject"].values != ""
-    only_held = (held | ~there).all(axis=1) & there.any(axis=1)
-    sides = dataset.isel(frame=np.flatnonzero(~held.any(axis=1))), dataset.isel(frame=np.flatnonzero(only_held))
-    for name, side in zip((train, validate), sides, strict=True):
-        if not side.sizes["frame"]:
-            raise DatasetError(
-                f"there is no frame in '{name}' with {', '.join(chosen)} held out to validate",
-                hint="generate more frames, or name the splits with --splits",
-            )
-    return sides
+    sides = (dataset.isel(frame=np.flatnonzero(side)) for side in (learnt, judged))
+    return HeldOut(*sides, by, words)
 
 
 def people_of(dataset: xr.Dataset) -> set[str]:

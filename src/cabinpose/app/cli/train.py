@@ -47,6 +47,8 @@ class Train(PrintsJson):
     """Frames per epoch with --synth."""
     splits: Maybe[Path] = None
     """YAML file of splits; without it, some subjects of each dataset are held out for validation."""
+    val: Maybe[float] = None
+    """Share of each dataset's frames that validate, 0 to 1, where there are no --splits: people are held out if they can be."""
     train: str = "train"
     """Name of the split to train on."""
     validate: str = "validate"
@@ -70,6 +72,9 @@ def run(command: Train) -> None:
     require("train")
     if command.datasets and command.synth is not None:
         raise ConfigError("a detector learns from datasets or from generated scenes", hint="give DATASET or --synth, not both")
+    if command.val is not None and (command.splits is not None or not 0 < command.val < 1):
+        why = "--splits says who validates" if command.splits is not None else f"--val {command.val:g} is no share"
+        raise ConfigError(why, hint="leave out --val, or give a number between 0 and 1 and no --splits")
     helps = any(os.environ.get(name, "0") != "0" for name in _RANKS)
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress(silent=helps)), False
@@ -126,4 +131,4 @@ def _frames(command: Train, spec: FrameSpec, seed: int, *, helps: bool) -> tuple
     if not helps:
         for name, dataset in datasets.items():
             warn_of_labels(dataset, name)
-    return stored_frames(datasets, spec, command.splits, command.train, command.validate)
+    return stored_frames(datasets, spec, command.splits, command.train, command.validate, share=command.val)

@@ -8,6 +8,7 @@ joint. All of it is in shares of the image, whose left edge is 0 and right edge 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,7 +52,10 @@ class YoloFormat(DatasetFormat):
         """Always train and val: without splits, some of the subjects are held out as in training."""
         if splits:
             return super().parts(dataset, splits)
-        return dict(zip(("train", "val"), held_out(dataset, "train", "val"), strict=True))
+        cut = held_out(dataset)
+        if cut.words:
+            warnings.warn(cut.words, stacklevel=2)
+        return {"train": cut.train, "val": cut.validate}
 
     def write(self, parts: Mapping[str, xr.Dataset], folder: Path, options: YoloExport, report: Report) -> None:
         """Write the frames of every split; `ConfigError` where train or val is none of them, `DatasetError` without instances."""
