@@ -146,6 +146,25 @@ def test_dataset_tab_goes_from_the_worst_frame_to_its_labels(workspace: Workspac
     used(workspace, steps)
 
 
+def test_arrows_are_of_the_tab_in_front_alone(workspace: Workspace) -> None:
+    """Those pressed in Label redrew the hidden tab, with its view in space."""
+    arrow = {
+        "action": "keydown", "repeat": False, "key": "ArrowRight", "code": "ArrowRight", "location": 0,
+        "altKey": False, "ctrlKey": False, "shiftKey": False, "metaKey": False,
+    }  # fmt: skip
+
+    async def steps(user: User) -> None:
+        frames, keys = marked(user, "frames"), user.find(kind=ui.keyboard)
+        for tab, expected in (("Dataset", 1), ("Label", 1), ("Dataset", 2)):
+            user.find(tab, kind=ui.tab).click()
+            await asyncio.sleep(0)
+            keys.trigger("key", arrow)
+            await asyncio.sleep(0.1)
+            assert frames.value == expected, tab
+
+    used(workspace, steps)
+
+
 def test_worst_frames_of_predictions_are_labelled_first(workspace: Workspace) -> None:
     async def steps(user: User) -> None:
         user.find("Label", kind=ui.tab).click()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from cabinpose.app.studio.models import FrameErrors, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.tab import Page, Tab, no_dataset
 from cabinpose.app.studio.view3d import look_through, view_3d
-from cabinpose.app.studio.workspace import Workspace, depth_range
+from cabinpose.app.studio.workspace import depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
 from cabinpose.core import CabinposeError, Visibility, apply
@@ -29,16 +28,16 @@ _INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
 class DatasetTab:
     """The tab of one browser: which frames are chosen, and which one is shown."""
 
-    def __init__(self, workspace: Workspace, label: Callable[[int], None]) -> None:
+    def __init__(self, page: Page) -> None:
+        workspace = page.workspace
         assert workspace.dataset is not None
-        self._workspace, self._dataset = workspace, workspace.dataset
+        self._page, self._workspace, self._dataset = page, workspace, workspace.dataset
         self._coordinates = {name: self._dataset[name].values for name in _FILTERS if name in self._dataset.coords}
         self._visibility = self._dataset["visibility"].values
         self._joints = [str(name) for name in self._dataset["joint"].values]
         self._limbs = dataset_skeleton(self._dataset).limbs
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
         self._position = 0
-        self._label = label
         self._errors: FrameErrors | None = None  # of the predictions that are chosen
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
@@ -115,7 +114,7 @@ class DatasetTab:
         self._camera_set = False
 
     def _key(self, event: Any) -> None:
-        if event.action.keydown and event.key in ("ArrowLeft", "ArrowRight"):
+        if self._page.front() == TAB.name and event.action.keydown and event.key in ("ArrowLeft", "ArrowRight"):
             self._go(self._position + (1 if event.key == "ArrowRight" else -1))
 
     async def _judge(self) -> None:
@@ -153,7 +152,7 @@ class DatasetTab:
 
     def _label_this(self) -> None:
         if len(self._rows):
-            self._label(int(self._dataset["frame"].values[self._rows[self._position]]))
+            self._page.label(int(self._dataset["frame"].values[self._rows[self._position]]))
 
     def _look(self) -> None:
         """Offer the frames that have come since, and the predictions that Compare has opened or run; say if the data are gone."""
@@ -305,7 +304,7 @@ def _build(page: Page) -> None:
     if page.workspace.dataset is None:
         no_dataset(page.workspace.recording, "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
     else:
-        DatasetTab(page.workspace, page.label)
+        DatasetTab(page)
 
 
 TAB = Tab("Dataset", _build, of_dataset=True)

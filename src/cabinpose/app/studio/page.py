@@ -78,7 +78,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared]) -> None:
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
-    page = Page(workspace, shared, bar.set_value, renew)
+    page = Page(workspace, shared, bar.set_value, renew, lambda: bar.value)
     with ui.tab_panels(bar, value=_first(workspace), keep_alive=True, animated=False).classes("w-full"):
         for tab in TABS:
             panels[tab.name] = ui.tab_panel(tab.name)

@@ -31,13 +31,15 @@ class Page:
     """The page of one browser, as its tabs see it.
 
     show: brings a tab to the front · renew: the same, after the tabs of the dataset are built anew where another one was opened ·
-    show_frame: shows a frame, by its number, in the tab Label; None while there is nothing to label.
+    front: the name of the tab in front, which alone takes keys · show_frame: shows a frame, by its number, in the tab Label; None
+    while there is nothing to label.
     """
 
     workspace: Workspace
     shared: Sequence[Shared]
     show: Callable[[str], object]
     renew: Callable[[str], None]
+    front: Callable[[], object]
     show_frame: Callable[[int], None] | None = None
 
     def of_studio(self, kind: type[T]) -> T:
