@@ -354,3 +354,20 @@ def test_yaml_that_is_none(tmp_path: Path) -> None:
     (tmp_path / "car.yaml").write_text("[1, 2", encoding="utf-8")
     with pytest.raises(ConfigError, match="not YAML"):
         load_cabin(tmp_path / "car.yaml")
+
+
+def test_parts_of_a_mesh_are_called_the_same_at_every_reading(tmp_path: Path) -> None:
+    """A node with several materials has several parts, which trimesh gives random names."""
+    box = trimesh.creation.box((4.0, 1.6, 1.3))
+    files = trimesh.Scene({"body": box, "glass": box.copy(), "seat": box.copy()}).export(file_type="gltf")
+    document = json.loads(files["model.gltf"])
+    one, two, three = (mesh["primitives"] for mesh in document["meshes"])
+    one += [*two, *three]
+    document["meshes"] = document["meshes"][:1]
+    document["nodes"], document["scenes"] = [{"name": "body", "mesh": 0}], [{"nodes": [0]}]
+    files["model.gltf"] = json.dumps(document).encode()
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    named = [[mesh.name for mesh in read_mesh(tmp_path / "model.gltf", up_axis="z", front_axis="x").meshes] for _ in range(3)]
+    assert [name.split("/")[0] for name in named[0]] == ["body_1", "body_2", "body_3"]
+    assert named[1:] == named[:1] * 2

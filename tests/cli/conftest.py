@@ -6,10 +6,12 @@ import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import get_args
 
 import pytest
 
-from cabinpose.app.cli import output
+from cabinpose.app.cli import VERBS, output, verb_module
+from cabinpose.app.cli.commands import Choices
 
 
 def _load_sphere_people() -> ModuleType:
@@ -42,3 +44,14 @@ def spheres() -> ModuleType:
 def dataset_folder(tmp_path_factory: pytest.TempPathFactory, spheres: ModuleType) -> Path:
     """Five frames in three parts; read only."""
     return spheres.write(tmp_path_factory.mktemp("spheres") / "dataset", spheres.manifest())
+
+
+@pytest.fixture(scope="session")
+def helps() -> list[tuple[str, ...]]:
+    """Every verb, and every verb of a verb."""
+    found: list[tuple[str, ...]] = []
+    for verb in VERBS:
+        command = verb_module(verb).COMMAND
+        inner = command.names() if isinstance(command, Choices) else [each.__metadata__[0].name for each in get_args(command)]
+        found += [(verb, name) for name in inner] or [(verb,)]
+    return found

@@ -183,7 +183,7 @@ def test_config_check_names_the_key(run: Run, tmp_path: Path) -> None:
     code, out, err = run("config", "check", path)
     assert (code, out) == (2, "")
     assert "camera.jiter_m: unknown key" in err
-    assert "hint: did you mean jitter_m" in err
+    assert "hint: did you mean camera.jitter_m" in err
     assert run("config", "check", tmp_path / "absent.yaml")[0] == 2
 
 
@@ -204,7 +204,7 @@ def test_export(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
     assert "hint: --overwrite" in err
     code, _, err = run("export", "coc", "--out", tmp_path / "x", dataset_folder)
     assert code == 2
-    assert "hint: known: bvh, c3d, coco, csv, itop, ntu, onnx, ply, png-json, sto, trc, yolo" in err
+    assert "hint: did you mean coco? known: bvh, c3d, coco, csv, itop, ntu, onnx, ply, png-json, sto, trc, yolo" in err
 
 
 def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> None:

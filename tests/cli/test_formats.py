@@ -184,6 +184,6 @@ def test_flags_that_were_renamed(run: Run) -> None:
     assert done.err.startswith("warning: --backlash is called --backlash-deg now\n")
     assert run("lab", "--rate", "0", "--out", "l").err == (
         "warning: --rate is called --rate-hz now\n"
-        "error: --rate-hz: input should be greater than 0, not 0.0\n"
+        "error: --rate-hz: must be greater than 0, not 0.0\n"
         "hint: `cabinpose lab --help` says what each flag takes\n"
     )

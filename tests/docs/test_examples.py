@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cabinpose.app.training import read_train_config
+from cabinpose.estimate.train_config import read_train_config
 from cabinpose.estimate.training import frame_spec
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.preflight import preflight

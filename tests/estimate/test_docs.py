@@ -12,10 +12,9 @@ import yaml
 from pydantic import BaseModel
 
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.estimate.augment import AugmentConfig
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.predictor import describe_model, packaged_models
-from cabinpose.estimate.settings import ViewSettings
+from cabinpose.estimate.settings import AugmentConfig, ViewSettings
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.store.split import parse_splits
 

@@ -13,9 +13,10 @@ import pytest
 import small
 import xarray as xr
 
-from cabinpose.app.training import individuals, read_train_config, stored_frames, training_split
+from cabinpose.app.training import individuals, stored_frames, training_split
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import StoredFrames
+from cabinpose.estimate.train_config import read_train_config
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.store.split import held_out, people_of
 from cabinpose.synth.config import SynthConfig

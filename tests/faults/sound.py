@@ -293,7 +293,7 @@ def training(_: Path) -> bytes:
 
 
 def read_training(path: Path) -> None:
-    from cabinpose.app.training import read_train_config
+    from cabinpose.estimate import read_train_config
 
     read_train_config(path, None)
 

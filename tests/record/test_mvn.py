@@ -282,7 +282,7 @@ def test_the_command(run: Callable[..., Any], tmp_path: Path) -> None:
 
 def test_the_commands_mistakes(run: Callable[..., Any], tmp_path: Path) -> None:
     for flags, words in (
-        (("--loss", "2"), "--loss: input should be less than or equal to 1, not 2.0"),
+        (("--loss", "2"), "--loss: must be less than or equal to 1, not 2.0"),
         (("--transport", "tcp", "--loss", "0.1"), "tcp neither loses"),
         (("--motion", "dance"), "unknown motion 'dance'"),
         (("--motion", str(tmp_path / "none.mvnx")), "does not exist"),

@@ -510,7 +510,7 @@ def test_the_command(run: Callable[..., Any], tmp_path: Path) -> None:
 
 def test_the_commands_mistakes(run: Callable[..., Any], tmp_path: Path) -> None:
     for flags, words in (
-        (("--drop", "2"), "--drop: input should be less than or equal to 1, not 2.0"),
+        (("--drop", "2"), "--drop: must be less than or equal to 1, not 2.0"),
         (("--motion", "dance"), "unknown motion 'dance'"),
         (("--motion", tmp_path / "none.c3d"), "does not exist"),
         (("--log", tmp_path), "cannot write"),

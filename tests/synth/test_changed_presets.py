@@ -90,14 +90,14 @@ def test_schema_has_every_dimension_with_its_range() -> None:
         ({"preset": "suv", "name": "van"}, "'van' is the name of another car"),
         ({"preset": "suv", "name": "C0001"}, "'C0001' is the name of another car"),
         ({"preset": "suv", "name": "a.yaml"}, "'a.yaml' is the name of another car"),
-        ({"preset": "suv", "name": "hatch", "w3_mm": 900}, "w3_mm: input should be greater than or equal to 1200, not 900"),
+        ({"preset": "suv", "name": "hatch", "w3_mm": 900}, "w3_mm: must be greater than or equal to 1200, not 900"),
         ({"preset": "suv", "name": "hatch", "w3mm": 1500}, "w3mm: unknown key"),
         ({"preset": "suv", "name": "hatch", "w20_mm": 480, "w3_mm": 1300}, "car 'hatch': .* shoulder room W3 of 1300"),
         ({"preset": "suv", "name": "hatch", "w20_2_mm": 540}, "car 'hatch': .* shoulder room W3-2 of 1480"),
         ({"preset": "suv", "name": "hatch", "dash_style": "none"}, "dashboard"),
         ({"preset": "suv", "name": "hatch", "layout": "facing"}, "layout of a preset stays"),
         (WIDE | {"w9_mm": 400}, "two cars are called 'wide'"),
-        (7, "valid string, not 7"),
+        (7, "must be a text, not 7"),
     ],
 )
 def test_refusals_say_what_is_wrong(car: Any, words: str) -> None:

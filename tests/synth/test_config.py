@@ -140,7 +140,7 @@ def test_a_preset_of_a_sensor_with_fields_changed() -> None:
     assert "integration_s" in str(caught.value.hint)
     with pytest.raises(ConfigError, match=r"^unknown sensor 'evk7'$"):
         SynthConfig.parse({"camera": {"sensor": {"preset": "evk7"}}})
-    with pytest.raises(ConfigError, match=r"^camera\.sensor\.Sensor\.fps: input should be greater than 0, not -1$"):
+    with pytest.raises(ConfigError, match=r"^camera\.sensor\.fps: must be greater than 0, not -1$"):
         SynthConfig.parse({"camera": {"sensor": {"preset": "evk75123", "fps": -1}}})
 
 

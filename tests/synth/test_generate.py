@@ -238,5 +238,5 @@ def test_other_sets_of_joints_are_written_where_they_are_asked_for(tmp_path: Pat
     there = dataset["subject"].values != ""
     shoulders = dataset["joints_3d"].sel(joint=["lshoulder", "rshoulder"]).values[there]
     assert np.array_equal(dataset["itop_joints_3d"].sel(itop_joint=["lshoulder", "rshoulder"]).values[there], shoulders)
-    with pytest.raises(ConfigError, match=r"output\.skeletons\.0: input should be 'itop'"):
+    with pytest.raises(ConfigError, match=r"output\.skeletons\[0\]: must be one of itop"):
         SynthConfig.parse({"output": {"skeletons": ["cabinpose"]}})

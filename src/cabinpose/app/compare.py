@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.report.raster import write_curves
-from cabinpose.app.training import read_train_config, stored_frames
+from cabinpose.app.training import stored_frames
 from cabinpose.core import (
     ITOP,
     ConfigError,
@@ -33,7 +33,7 @@ from cabinpose.core import (
     whole_file,
     write_whole,
 )
-from cabinpose.estimate import METHODS, load_model
+from cabinpose.estimate import METHODS, load_model, read_train_config
 from cabinpose.evaluate import BATCH, EvaluationOptions, Report, evaluate_itop, frame_batch
 from cabinpose.store import (
     MANIFEST_NAME,

@@ -13,23 +13,12 @@ import numpy as np
 import xarray as xr
 
 from cabinpose.core import ConfigError, DatasetError
-from cabinpose.estimate import Frames, FrameSpec, GeneratedFrames, StoredFrames, TrainConfig, fits_memory, joined
-from cabinpose.store import dataset_skeleton, held_out, read_mapping, read_splits, split_datasets, validated
+from cabinpose.estimate import Frames, FrameSpec, GeneratedFrames, StoredFrames, fits_memory, joined
+from cabinpose.store import dataset_skeleton, held_out, read_splits, split_datasets
 from cabinpose.synth import FrameMaker, SynthConfig, build_manifest, person_slots, preflight
 
 _NAMES = 5  # of subjects in a message
 _RANDOM_PERSON = re.compile(r"R\d{4,}")  # the names of random people
-
-
-def read_train_config(path: Path | None, method: str | None) -> TrainConfig:
-    """The configuration in a YAML file, its method replaced by `method` if given. Raises ConfigError."""
-    hint = "docs/training.md lists the keys"
-    data = read_mapping(path, hint=hint) if path is not None else {}
-    if method is not None:
-        if data.get("method", method) != method:
-            raise ConfigError(f"{path} is for {data['method']}, not {method}", hint="leave --method out, or give another file")
-        data = {**data, "method": method}
-    return validated(TrainConfig, data, path, hint=hint)
 
 
 def training_split(

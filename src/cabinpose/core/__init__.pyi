@@ -34,6 +34,8 @@ from .errors import SceneError as SceneError
 from .errors import SourceEndedError as SourceEndedError
 from .errors import UndeterminedError as UndeterminedError
 from .errors import unknown_name as unknown_name
+from .findings import explained as explained
+from .findings import keys_alike as keys_alike
 from .frames import FORWARD_FROM_CAMERA as FORWARD_FROM_CAMERA
 from .frames import ZUP_FROM_YUP as ZUP_FROM_YUP
 from .frames import Matrix as Matrix
@@ -90,6 +92,10 @@ from .skeleton import Skeleton as Skeleton
 from .skeleton import SkeletonName as SkeletonName
 from .skeleton import skeleton_of as skeleton_of
 from .skeleton import skeleton_with as skeleton_with
+from .synonyms import ELSEWHERE as ELSEWHERE
+from .synonyms import KEYS as KEYS
+from .synonyms import alike as alike
+from .synonyms import by_word as by_word
 from .units import CMU_UNIT_M as CMU_UNIT_M
 from .units import LENGTHS_M as LENGTHS_M
 from .units import metres_of as metres_of

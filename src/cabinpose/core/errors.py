@@ -4,6 +4,10 @@ Every error that a user can mend derives from `CabinposeError` and carries the r
 line prints the message and one `hint:` line and exits with 2; anything else is a defect and keeps its traceback.
 """
 
+from __future__ import annotations
+
+from cabinpose.core.synonyms import NAMES, alike
+
 
 class CabinposeError(Exception):
     """Base of all errors a user can mend; `hint` says what to do about it."""
@@ -82,5 +86,7 @@ class ExtensionError(CabinposeError):
 
 
 def unknown_name(kind: str, name: str, known: list[str] | tuple[str, ...]) -> ConfigError:
-    """A `ConfigError` for a name that does not exist, listing the ones that do."""
-    return ConfigError(f"unknown {kind} '{name}'", hint=f"known: {', '.join(sorted(known))}")
+    """A `ConfigError` for a name that does not exist, listing the ones that do, and before them what may be meant."""
+    near = alike(name, known, NAMES)
+    meant = f"did you mean {' or '.join(near)}? " if near else ""
+    return ConfigError(f"unknown {kind} '{name}'", hint=f"{meant}known: {', '.join(sorted(known))}")

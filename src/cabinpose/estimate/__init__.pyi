@@ -1,4 +1,3 @@
-from .augment import AugmentConfig as AugmentConfig
 from .batch import Batch as Batch
 from .data import Frames as Frames
 from .data import FrameSpec as FrameSpec
@@ -35,6 +34,7 @@ from .predictor import load_model as load_model
 from .predictor import open_model as open_model
 from .predictor import packaged_detectors as packaged_detectors
 from .predictor import packaged_models as packaged_models
+from .settings import AugmentConfig as AugmentConfig
 from .settings import BodySettings as BodySettings
 from .settings import PlacedSettings as PlacedSettings
 from .settings import Settings as Settings
@@ -44,6 +44,7 @@ from .train_config import Machines as Machines
 from .train_config import Observers as Observers
 from .train_config import Start as Start
 from .train_config import TrainConfig as TrainConfig
+from .train_config import read_train_config as read_train_config
 from .training import fit as fit
 from .training import frame_spec as frame_spec
 from .training import load_detector as load_detector

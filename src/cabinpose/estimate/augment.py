@@ -10,44 +10,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 from torch.nn import functional
 
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.found import mirrored_slots as mirrored_slots
+from cabinpose.estimate.settings import AugmentConfig as AugmentConfig
 from cabinpose.scene import LABEL_ID
 
 _BEHIND_M = 0.1  # a pixel farther than that behind its neighbours is seen through a hole in their surface
-Probability = Annotated[float, Field(ge=0, le=1)]
-NotNegative = Annotated[float, Field(ge=0)]
-_Shares = tuple[float, float, float]
-
-
-class AugmentConfig(BaseModel):
-    """How training frames are varied. Probabilities are per frame; the thesis' are those of docs/models/paf-thesis.yaml."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    shift: Annotated[Probability, Field(description="Probability that the cloud is moved at all.")] = 0.8
-    shift_axes: Annotated[_Shares, Field(description="Probability of a shift along x, y, z.")] = (0.5, 0.5, 0.8)
-    shift_m: Annotated[NotNegative, Field(description="Standard deviation, or greatest value, of the shift (m).")] = 0.15
-    shift_law: Annotated[
-        Literal["normal", "uniform"], Field(description="Law of the shift; uniform: from 0 to shift_m, as the thesis prints it.")
-    ] = "normal"
-    rotate_deg: Annotated[NotNegative, Field(description="Standard deviation of the rotation about each axis (deg).")] = 4.0
-    flip: Annotated[Probability, Field(description="Probability of a mirror image, sides swapped.")] = 0.5
-    noise_m: Annotated[NotNegative, Field(description="Greatest standard deviation of added depth noise (m).")] = 0.008
-    lost: Annotated[Probability, Field(description="Greatest share of pixels that are lost.")] = 0.03
-    gain: Annotated[float, Field(ge=1, description="Amplitudes are multiplied by up to this factor, or divided.")] = 2.0
-    occluder: Annotated[Probability, Field(description="Probability of an object in front of the scene.")] = 0.2
-    rescale: Annotated[Probability, Field(description="Probability that depths lose their scale (joints keep theirs).")] = 0.0
-    rescale_sigma: Annotated[NotNegative, Field(description="Standard deviation of the logarithm of the lost scale.")] = 0.15
 
 
 class Mirror(NamedTuple):

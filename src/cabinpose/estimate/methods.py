@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from cabinpose.core import ConfigError, ModelError, Registry
+from cabinpose.core import ConfigError, ModelError, Registry, explained
 from cabinpose.estimate.inputs import Kept
-from cabinpose.estimate.settings import Settings
+from cabinpose.estimate.settings import AugmentConfig, Settings
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-    from cabinpose.estimate.augment import AugmentConfig
 
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays by name."""
@@ -69,10 +68,8 @@ class Method(ABC, Generic[S]):
         try:
             return self.settings_type.model_validate(values)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            known = ", ".join(self.settings_type.model_fields)
-            raise ConfigError(f"{self.name}: {where}: {first['msg']}", hint=f"settings of {self.name}: {known}") from error
+            known = f"settings of {self.name}: {', '.join(self.settings_type.model_fields)}"
+            raise explained(error, self.settings_type, values, at=f"{self.name}: ", lists=known) from error
 
     def measured(self, settings: S, some: Callable[[], Sequence[Kept]]) -> S:  # noqa: ARG002 - most measure nothing
         """The settings with what they leave open measured on training frames; `some` reads at most 500 of them."""

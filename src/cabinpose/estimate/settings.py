@@ -1,4 +1,4 @@
-"""What the settings of all methods have in common."""
+"""What the settings of all methods have in common, and how training varies frames."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, OTHER_SKELETONS, DriveSide, Skeleton
 from cabinpose.estimate.inputs import InputView
 
+Probability = Annotated[float, Field(ge=0, le=1)]
+NotNegative = Annotated[float, Field(ge=0)]
+_Shares = tuple[float, float, float]
 _FOCAL_PER_WIDTH = 139 / 352  # 103 deg across: all but 0.1 % of the joints that a Monstar sees, which 95.5 deg lose 6 % of
 _OLDER_FOCAL_PER_WIDTH = 160 / 352
 # What `body` chooses: of our joints the upper body's or all, or another set.
@@ -80,3 +83,24 @@ class BodySettings(PlacedSettings):
     def joint_set(self) -> Skeleton:
         """The joints that it finds, as a set; the limbs of the whole of it are a tree that ties all of them."""
         return _BODIES[self.body]
+
+
+class AugmentConfig(BaseModel):
+    """How training frames are varied. Probabilities are per frame; the thesis' are those of docs/models/paf-thesis.yaml."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    shift: Annotated[Probability, Field(description="Probability that the cloud is moved at all.")] = 0.8
+    shift_axes: Annotated[_Shares, Field(description="Probability of a shift along x, y, z.")] = (0.5, 0.5, 0.8)
+    shift_m: Annotated[NotNegative, Field(description="Standard deviation, or greatest value, of the shift (m).")] = 0.15
+    shift_law: Annotated[
+        Literal["normal", "uniform"], Field(description="Law of the shift; uniform: from 0 to shift_m, as the thesis prints it.")
+    ] = "normal"
+    rotate_deg: Annotated[NotNegative, Field(description="Standard deviation of the rotation about each axis (deg).")] = 4.0
+    flip: Annotated[Probability, Field(description="Probability of a mirror image, sides swapped.")] = 0.5
+    noise_m: Annotated[NotNegative, Field(description="Greatest standard deviation of added depth noise (m).")] = 0.008
+    lost: Annotated[Probability, Field(description="Greatest share of pixels that are lost.")] = 0.03
+    gain: Annotated[float, Field(ge=1, description="Amplitudes are multiplied by up to this factor, or divided.")] = 2.0
+    occluder: Annotated[Probability, Field(description="Probability of an object in front of the scene.")] = 0.2
+    rescale: Annotated[Probability, Field(description="Probability that depths lose their scale (joints keep theirs).")] = 0.0
+    rescale_sigma: Annotated[NotNegative, Field(description="Standard deviation of the logarithm of the lost scale.")] = 0.15

@@ -1,4 +1,7 @@
-"""What a training run is told: its configuration, what it begins with, where it computes, and who is told how it goes."""
+"""What a training run is told: its configuration, what it begins with, where it computes, and who is told how it goes.
+
+A configuration is checked without torch, which takes seconds to load.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,19 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import torch
-from lightning.pytorch.callbacks import Callback
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from cabinpose.estimate.augment import AugmentConfig
-from cabinpose.estimate.curves import Draw
+from cabinpose.core import ConfigError
 from cabinpose.estimate.methods import METHODS, Progress
+from cabinpose.estimate.settings import AugmentConfig
+from cabinpose.store import read_mapping, validated
+
+if TYPE_CHECKING:
+    from lightning.pytorch.callbacks import Callback
+
+    from cabinpose.estimate.curves import Draw
 
 Positive = Annotated[int, Field(ge=1)]
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
@@ -61,6 +68,17 @@ class TrainConfig(BaseModel):
     def _with_defaults(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         """All settings of the method, so that runs compare; ConfigError for one that the method does not know."""
         return METHODS[info.data.get("method", "compact")].settings(value).model_dump(mode="json")
+
+
+def read_train_config(path: Path | None, method: str | None) -> TrainConfig:
+    """The configuration in a YAML file, its method replaced by `method` if given. Raises ConfigError."""
+    hint = "docs/training.md lists the keys"
+    data = read_mapping(path, hint=hint) if path is not None else {}
+    if method is not None:
+        if data.get("method", method) != method:
+            raise ConfigError(f"{path} is for {data['method']}, not {method}", hint="leave --method out, or give another file")
+        data = {**data, "method": method}
+    return validated(TrainConfig, data, path, hint=hint)
 
 
 @dataclass(frozen=True)
@@ -113,6 +131,8 @@ def usable_precision(precision: Precision) -> Precision:
     Lightning computes both mixed precisions in bfloat16 on a CPU. Without instructions for it each product is made of several in
     float32, and training takes about ten times as long as without it.
     """
+    import torch  # noqa: PLC0415 - see above
+
     if precision == "32-true" or torch.cuda.is_available() or torch.backends.mps.is_available():
         return precision
     try:

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from cabinpose.core import ConfigError, ExtensionError, read_yaml
+from cabinpose.core import ConfigError, ExtensionError, explained, read_yaml
 from cabinpose.record.sources.base import SOURCES
 from cabinpose.record.split import Limit
 from cabinpose.signals import FrameSource, HostClock
@@ -148,7 +148,7 @@ def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:
     return SourcePlan(name, str(kind), make, checked.model_copy(update=paths), required)
 
 
-def _checked(model: type[Any], data: Any, *where: str) -> Any:
+def _checked(model: Any, data: Any, *where: str) -> Any:
     if not isinstance(data, dict):
         raise ConfigError(
             f"{'.'.join(where) or 'what stands here'} is a mapping of keys to values",
@@ -157,12 +157,4 @@ def _checked(model: type[Any], data: Any, *where: str) -> Any:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        findings = [f"{'.'.join((*where, *map(str, found['loc'])))}: {_reason(found)}".lstrip(": ") for found in error.errors()]
-        raise ConfigError("; ".join(findings), hint=f"keys here: {', '.join(model.model_fields)}") from error
-
-
-def _reason(found: Any) -> str:
-    if found["type"] == "extra_forbidden":
-        return "unknown key"
-    message = found["msg"].removeprefix("Value error, ")
-    return f"{message[0].lower()}{message[1:]}, not {found['input']!r}"
+        raise explained(error, model, data, at=".".join(where), lists=f"keys here: {', '.join(model.model_fields)}") from error

@@ -78,11 +78,16 @@ def empty_batch(frames: int, persons: int, joints: int) -> PoseBatch:
 
 
 def check_new_predictions(file: Path, *, overwrite: bool) -> None:
-    """Raise `PredictionsError` unless a predictions file may be written under this name."""
+    """Raise `PredictionsError` unless a predictions file may be written under this name.
+
+    Raises DependencyError where what writes it is not installed.
+    """
     if file.suffix not in (".jsonl", ".parquet"):
         raise PredictionsError(f"{file.name} is no name of a predictions file", hint="let it end in .jsonl or .parquet")
     if file.exists() and not overwrite:
         raise PredictionsError(f"{file} exists", hint="--overwrite replaces it, or give another name")
+    if file.suffix == ".parquet":
+        _need_pyarrow()
 
 
 def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: bool = False) -> Path:
@@ -215,11 +220,15 @@ def _read_lines(file: Path) -> tuple[dict[str, Any], Any]:
 # ---------------------------------------------------------------------------------------------------------- Parquet
 
 
-def _pyarrow() -> Any:
+def _need_pyarrow() -> None:
     if find_spec("pyarrow") is None:
         raise DependencyError(
             "Parquet needs pyarrow, which is not installed", hint='pip install "cabinpose[parquet]", or use JSON lines (.jsonl)'
         )
+
+
+def _pyarrow() -> Any:
+    _need_pyarrow()
     import pyarrow.parquet as parquet  # noqa: PLC0415 - an extra
 
     return parquet

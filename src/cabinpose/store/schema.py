@@ -21,7 +21,17 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cabinpose.core import CABINPOSE, JOINTS, OCCUPANT_SLOTS, OTHER_SKELETONS, DatasetError, Visibility, left_before, parse_yaml
+from cabinpose.core import (
+    CABINPOSE,
+    JOINTS,
+    OCCUPANT_SLOTS,
+    OTHER_SKELETONS,
+    DatasetError,
+    Visibility,
+    explained,
+    left_before,
+    parse_yaml,
+)
 
 SCHEMA: Final = "cabinpose-dataset"
 SCHEMA_VERSION: Final = 1
@@ -270,9 +280,7 @@ class Manifest(BaseModel):
         try:
             manifest = cls.model_validate(values)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(p) for p in first["loc"]) or "manifest"
-            raise DatasetError(f"{source}: {where}: {first['msg']}", hint=_RESTORE) from error
+            raise DatasetError(str(explained(error, cls, values, at=f"{source}: ", lists="")), hint=_RESTORE) from error
         listed = data.get("parts")
         # The number first: a damaged count of frames must not make a list of millions.
         count = manifest.part_count

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from cabinpose.core import CabinposeError, ConfigError, read_yaml
+from cabinpose.core import CabinposeError, ConfigError, explained, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -27,6 +27,4 @@ def validated(
     try:
         return model.model_validate(data)
     except ValidationError as problem:
-        first = problem.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise error(": ".join(filter(None, (str(path or ""), where, first["msg"]))), hint=hint) from problem
+        raise explained(problem, model, data, at=f"{path}: " if path else "", lists=hint, kind=error) from problem

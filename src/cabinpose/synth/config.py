@@ -7,14 +7,13 @@ the folder of the file.
 from __future__ import annotations
 
 import copy
-import difflib
 import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from cabinpose.core import (
     ITOP,
@@ -24,6 +23,7 @@ from cabinpose.core import (
     ConfigError,
     OtherSkeletonName,
     Skeleton,
+    explained,
     parse_yaml,
     read_yaml,
     unknown_name,
@@ -56,7 +56,6 @@ from cabinpose.synth.things import (
 
 # Named one by one: what is added to the presets joins the datasets of those who ask for it.
 _CARS = ("city_car", "hatchback", "sedan", "coupe", "suv", "van", "shuttle")
-_MEANT = {"age": ["years"], "height_cm": ["stature_cm"], "stature": ["stature_cm"], "weight_kg": ["mass_kg"], "sex": ["gender"]}
 
 
 _ANYBODY = Occupant()
@@ -395,10 +394,11 @@ class SynthConfig(Model):
             raise ConfigError("a configuration is a mapping of keys to values", hint="`cabinpose config schema` lists the keys")
         kinds = {"scene": "cabin", "noise": "physical"}
         data = {key: {"kind": kinds[key]} | v if key in kinds and isinstance(v, dict) else v for key, v in data.items()}
+        data = _with_paths(data, base)
         try:
-            return cls.model_validate(_with_paths(data, base))
+            return cls.model_validate(data)
         except ValidationError as error:
-            raise explain(error, cls) from error
+            raise explained(error, cls, data, lists="`cabinpose config schema` lists what each key takes") from error
 
 
 def person_slots(config: SynthConfig) -> tuple[str, ...]:
@@ -467,33 +467,3 @@ def _with_path(owner: Any, base: Path) -> None:
     profile = owner.get("profile") if isinstance(owner, dict) else None
     if isinstance(profile, dict) and isinstance(profile.get("path"), str):
         owner["profile"] = {**profile, "path": str((base / profile["path"]).resolve())}
-
-
-def explain(error: ValidationError, model: type[BaseModel]) -> ConfigError:
-    """One `ConfigError` of pydantic's findings: every path with its reason, and close matches of unknown keys."""
-    lines, hint = [], None
-    findings = error.errors()
-    mappings = {finding["loc"][:-2] for finding in findings}  # of what may be a name or a mapping, the mapping is meant
-    for finding in findings:
-        if finding["type"] == "string_type" and finding["loc"][-1] == "str" and finding["loc"][:-1] in mappings:
-            continue
-        where = ".".join(str(p) for p in finding["loc"]) or "configuration"
-        if finding["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-            key = str(finding["loc"][-1])
-            close = _MEANT.get(key) or difflib.get_close_matches(key, sorted(_keys(model) - {key}), n=3)
-            lines.append(f"{where}: unknown key")
-            hint = hint or (f"did you mean {' or '.join(close)}?" if close else "`cabinpose config schema` lists the keys")
-        elif finding["type"] == "missing":
-            lines.append(f"{where}: this key is required")
-        else:
-            lines.append(f"{where}: {finding['msg'][0].lower()}{finding['msg'][1:]}, not {finding['input']!r}")
-    return ConfigError("; ".join(lines), hint=hint or "`cabinpose config schema` lists what each key takes")
-
-
-def _keys(model: type[BaseModel]) -> set[str]:
-    """The names of all fields of a model and of the models within."""
-    schema = model.model_json_schema()
-    keys = set(schema.get("properties", {}))
-    for definition in schema.get("$defs", {}).values():
-        keys |= set(definition.get("properties", {}))
-    return keys

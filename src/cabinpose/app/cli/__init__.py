@@ -11,7 +11,6 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
@@ -41,8 +40,6 @@ GROUPS = MappingProxyType(
     }
 )
 VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
-# Their first argument is the dataset.
-_OF_DATASETS = ("info", "view", "evaluate", "train", "predict", "calibrate-confidence")
 
 
 def _module_name(verb: str) -> str:
@@ -136,16 +133,15 @@ def _done(verb: str, rest: list[str]) -> int:
     import cabinpose
     from cabinpose.core import CabinposeError
 
+    if verb == "help":  # of a command, as git has it
+        verb, rest = (rest[0], ["--help"]) if rest else ("--help", [])
     if verb in ("-h", "--help", "--version"):
         print(cabinpose.__version__ if verb == "--version" else _help(), flush=True)
         return 0
     if verb not in VERBS:
-        close = get_close_matches(verb, VERBS, n=1)
-        did_you_mean = f"did you mean {close[0]}? " if close else ""
-        raise CabinposeError(f"there is no command '{verb}'", hint=f"{did_you_mean}`cabinpose --help` lists them")
-    if verb in _OF_DATASETS and any(word == "--data" or word.startswith("--data=") for word in rest):
-        raise CabinposeError("there is no flag --data", hint=f"the dataset follows the verb: cabinpose {verb} DATASET")
+        from cabinpose.app.cli.complaints import unknown_command
 
+        raise unknown_command(verb, VERBS)
     from cabinpose.app.cli.commands import parsed
 
     module = verb_module(verb)

@@ -95,6 +95,16 @@ def renamed(words: Sequence[str], old: Mapping[str, tuple[str, Callable[[str], s
     return result
 
 
+def placed(words: Sequence[str], flag: str) -> list[str]:
+    """The words behind a verb with the value of a flag before all others, where it stands since it is what the verb is about."""
+    for number, word in enumerate(words):
+        name, given, value = word.partition("=")
+        if name == flag and (given or number + 1 < len(words)):
+            value, after = (value, number + 1) if given else (words[number + 1], number + 2)
+            return [value, *words[:number], *words[after:]]
+    return list(words)
+
+
 def metres(centimetres: str) -> str:
     """A number of cm in m; what is no number as it is."""
     try:

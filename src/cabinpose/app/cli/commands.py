@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import MISSING, dataclass, field, make_dataclass, replace
 from inspect import isclass, isfunction
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import tyro
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, OmitSubcommandPrefixes, SuppressFixed, arg
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from cabinpose.app.cli.arguments import READS
-from cabinpose.core import CabinposeError, ConfigError
+from cabinpose.core import CabinposeError, ConfigError, explained
 
 
 @dataclass(frozen=True)
@@ -65,21 +67,47 @@ def parsed(verb: str, command: Any, words: Sequence[str], about: str) -> Any:
             raise SystemExit(0)
         name, *words = words
         prog, chosen = f"{prog} {name}", command.command(name)
-    elif isfunction(command):
-        chosen = command()
+    else:
+        chosen = command() if isfunction(command) else command
+        if (inner := _inner(chosen)) and not (words and words[0] in ("-h", "--help")):
+            prog, chosen, words = _chosen(prog, inner, words)
+    said = io.StringIO()
+    _RULE.fields.clear()
     try:
         config = (DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes, SuppressFixed)
         description = None if isclass(chosen) else about
-        return tyro.cli(chosen, prog=prog, description=description, args=words, config=config, registry=READS)
+        with redirect_stderr(said):
+            return tyro.cli(chosen, prog=prog, description=description, args=words, config=config, registry=READS)
     except ConfigError as error:
         error.hint = error.hint or f"`{prog} --help` says what each flag takes"
         raise
     except SystemExit as left:
-        if left.code == 2 and isinstance(command, Choices):
-            for flag in dict.fromkeys(word.partition("=")[0] for word in words if word.startswith("--")):
-                if (having := command.having(flag)) and name not in having:
-                    print(f"hint: {flag} is of {', '.join(having)}", file=sys.stderr)
+        if left.code == 2:
+            from cabinpose.app.cli.complaints import complaint
+
+            having = command.having if isinstance(command, Choices) else lambda _: ()
+            if wrong := complaint(prog, _RULE.fields, words, having):
+                raise wrong from None
+        sys.stderr.write(said.getvalue())  # of tyro itself
         raise
+
+
+def _inner(command: Any) -> dict[str, Any]:
+    """The verbs of a verb, by name; none where the command is one."""
+    inner = {}
+    for each in get_args(command) if get_origin(command) is Union else ():
+        kind, mark = get_args(each)
+        inner[mark.name] = kind
+    return inner
+
+
+def _chosen(prog: str, inner: Mapping[str, Any], words: Sequence[str]) -> tuple[str, Any, Sequence[str]]:
+    """The one that the first word names, and the words behind it."""
+    if not words or words[0] not in inner:
+        from cabinpose.app.cli.complaints import unknown_inner
+
+        raise unknown_inner(prog, tuple(inner), words[0] if words else "")
+    return f"{prog} {words[0]}", inner[words[0]], words[1:]
 
 
 def with_settings(command: type, name: str, settings: type, default: Any = None, **about: Any) -> type:
@@ -109,6 +137,7 @@ class _Rule:
 
     def __init__(self) -> None:
         self._asking = False
+        self.fields: list[StructFieldSpec] = []  # of what was asked for since the list was emptied
 
     def __call__(self, info: StructTypeInfo) -> StructConstructorSpec | None:
         if self._asking:  # this rule is asked too
@@ -120,7 +149,8 @@ class _Rule:
             self._asking = False
         if not isinstance(found, StructConstructorSpec):
             return None
-        return replace(found, fields=tuple(map(_as_flag, found.fields)), instantiate=_checked(found.instantiate))
+        self.fields += found.fields
+        return replace(found, fields=tuple(map(_as_flag, found.fields)), instantiate=_checked(found.instantiate, info.type))
 
 
 def _as_flag(field: StructFieldSpec) -> StructFieldSpec:
@@ -137,10 +167,16 @@ def _hinted(annotation: Any, default: str) -> Any:
     return Annotated[(kind, arg(help_behavior_hint=default), *more)]
 
 
-READS.struct_rule(_Rule())
+_RULE = _Rule()
+READS.struct_rule(_RULE)
 
 
-def _checked(make: Callable[..., Any]) -> Callable[..., Any]:
+def _flag(place: Sequence[str | int]) -> str:
+    """The flag of a key of settings."""
+    return f"--{'-'.join(map(str, place)).replace('_', '-')}" if place else ""
+
+
+def _checked(make: Callable[..., Any], model: Any) -> Callable[..., Any]:
     """What makes settings, with the errors of pydantic as ours."""
 
     def made(**values: Any) -> Any:
@@ -149,13 +185,7 @@ def _checked(make: Callable[..., Any]) -> Callable[..., Any]:
         except ValueError as error:
             if not hasattr(error, "errors"):
                 raise
-            first = error.errors()[0]
-            reason = first["msg"].removeprefix("Value error, ")
-            reason = reason[:1].lower() + reason[1:]
-            if first["loc"]:
-                flag = str(first["loc"][0]).replace("_", "-")
-                reason = f"--{flag}: {reason}, not {first['input']}"
-            raise ConfigError(reason) from error
+            raise ConfigError(str(explained(error, model, values, lists="", written=_flag))) from error
 
     made.__doc__ = make.__doc__
     return made

@@ -40,6 +40,8 @@ class ConfigCheck(PrintsJson):
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """Configuration (YAML)."""
+    overrides: Annotated[Positional[tuple[str, ...]], several("[KEY=VALUE ...]")] = ()
+    """Changes to it, as of `synth`."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ def run(command: ConfigInit | ConfigCheck | ConfigFrame | ConfigSchema) -> None:
     if isinstance(command, ConfigInit):
         _write(commented_yaml(room_preset() if command.scene == "room" else SynthConfig()), command.file)
     elif isinstance(command, ConfigCheck):
-        _check(command, SynthConfig.load(command.file))
+        _check(command, SynthConfig.load(command.file, command.overrides))
     elif isinstance(command, ConfigFrame):
         _write(_frame_yaml(command), command.file)
     else:

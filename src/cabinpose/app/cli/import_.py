@@ -15,7 +15,7 @@ from cabinpose.app.cli.arguments import Maybe, PrintsJson, refuse, several
 from cabinpose.app.cli.formats import choices, modern, names_of
 from cabinpose.app.cli.output import print_json, print_rows, print_table, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, explained
 
 if TYPE_CHECKING:
     from cabinpose.store.recording import Take  # needs the extra `record`, which is asked for first
@@ -155,14 +155,12 @@ def _take(command: ImportRecording) -> Take:
         refuse(given, f"{{}} is told by {command.take.name} already")
         return load_take(command.take)
     subjects = [{"code": code} for code in command.subject]
+    said = {"action": command.action or "", "car": command.car or "", "subjects": subjects}
     try:
-        return Take.model_validate({"action": command.action or "", "car": command.car or "", "subjects": subjects})
+        return Take.model_validate(said)
     except ValidationError as error:
-        first = error.errors()[0]
-        message = first["msg"].removeprefix("Value error, ")
-        raise ConfigError(
-            f"--{str(first['loc'][0]).removesuffix('s')}: {message}", hint="docs/recording.md says what a take is"
-        ) from error
+        told = explained(error, Take, said, lists="", written=lambda place: f"--{str(place[0]).removesuffix('s')}")
+        raise ConfigError(str(told), hint="docs/recording.md says what a take is") from error
 
 
 def _correct(command: ImportLabels) -> None:

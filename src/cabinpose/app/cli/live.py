@@ -8,12 +8,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, placed, several
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
@@ -36,7 +37,7 @@ class LiveCommand(RunsModels):
     --realtime. Ctrl-C ends it.
     """
 
-    source: str
+    source: Annotated[Positional[str], arg(metavar="SOURCE")]
     """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), file of a camera (such as .mkv),
     or kind of camera, as a rig has it: simulated, or that of a vendor. A word that is none of these lists all kinds."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
@@ -64,6 +65,7 @@ class LiveCommand(RunsModels):
 
 
 COMMAND = LiveCommand
+modernised = partial(placed, flag="--source")
 
 
 def run(command: LiveCommand) -> int:

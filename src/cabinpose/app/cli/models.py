@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,13 +33,17 @@ def run(command: Models) -> None:
     from cabinpose.estimate import describe_model, packaged_models
 
     packaged = packaged_models()
-    chosen = packaged if command.model is None else {"": packaged.get(command.model, Path(command.model))}
+    named = command.model
+    if named in ("list", "ls"):
+        print("`cabinpose models` alone lists them", file=sys.stderr)
+        named = None
+    chosen = packaged if named is None else {"": packaged.get(named, Path(named))}
     described = {name: describe_model(path) for name, path in chosen.items()}
     if command.reads and command.model is None:
         described = {name: each for name, each in described.items() if set(each["inputs"]) <= {*command.reads}}
     if command.as_json:
         print_json(described.get("", described))
-    elif command.model is None:
+    elif named is None:
         print_rows((name, str(each["card"].get("summary", ""))) for name, each in described.items())
     else:
         print_rows(_rows(described[""]))

@@ -6,12 +6,13 @@ import dataclasses
 import sys
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, placed
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_rows
 from cabinpose.app.extras import require
@@ -32,7 +33,7 @@ class Record(PrintsJson):
     Only connections that the rig names are opened. A device that disappears is connected again; losses are counted.
     """
 
-    config: Path
+    config: Annotated[Positional[Path], arg(metavar="RIG")]
     """The rig (YAML): its sources, how to write, and the take."""
     out: Maybe[Path] = None
     """Recording to write (.mcap)."""
@@ -47,6 +48,7 @@ class Record(PrintsJson):
 
 
 COMMAND = Record
+modernised = partial(placed, flag="--config")
 
 
 def run(command: Record) -> int:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import partial
+from typing import Annotated
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels
+from tyro.conf import Positional, arg
+
+from cabinpose.app.cli.arguments import Maybe, RunsModels, placed
 from cabinpose.app.cli.interrupt import interrupted_by_all
 
 
@@ -18,7 +22,7 @@ class Serve(RunsModels):
     Needs the extra `remote`. There is neither encryption nor a password.
     """
 
-    model: str
+    model: Annotated[Positional[str], arg(metavar="MODEL")]
     """Name of a packaged model, an ONNX or .npz file, or the address of a model on another server."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines in."""
@@ -35,6 +39,7 @@ class Serve(RunsModels):
 
 
 COMMAND = Serve
+modernised = partial(placed, flag="--model")
 
 
 def run(command: Serve) -> None:

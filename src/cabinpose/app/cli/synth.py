@@ -34,7 +34,7 @@ class Synth(PrintsJson):
     frames: Maybe[int] = None
     """Number of frames; default: all combinations, if the configuration has a finite number of them."""
     overrides: Annotated[Positional[tuple[str, ...]], several("[KEY=VALUE ...]")] = ()
-    """Changes to the configuration, such as scene.cars=[suv] or camera.sensor=evk75123."""
+    """Changes to the configuration, such as scene.cars=[suv] or camera.sensor=evk75123; its file may stand among them."""
     config: Maybe[Path] = None
     """Configuration (YAML), as `cabinpose config init` writes it; default: people in all seven cars."""
     style: Maybe[Path] = None
@@ -66,7 +66,8 @@ def run(command: Synth) -> None:
     if command.resume and command.overwrite:
         raise ConfigError("a dataset is either resumed or overwritten", hint="give one of --resume and --overwrite")
     styled = () if command.style is None else (f"style.by={json.dumps(str(command.style.resolve()))}",)
-    config = SynthConfig.load(command.config, (*command.overrides, *styled))
+    file, changes = _file_and_changes(command)
+    config = SynthConfig.load(file, (*changes, *styled))
     frames = config.frames_or_all(command.frames)
     judged = "poses" if config.scene.sequence is None else "poses and ways"
     with progress(frames, "frames", start=_frames_there(command)) as report:
@@ -101,6 +102,15 @@ def run(command: Synth) -> None:
         ]
     )
     print(f"look at it with: cabinpose view {command.out} --out {command.out}-view", file=sys.stderr)
+
+
+def _file_and_changes(command: Synth) -> tuple[Path | None, list[str]]:
+    """The file of the configuration, which may stand without its flag, and the changes to it."""
+    files = [Path(word) for word in command.overrides if "=" not in word and word.endswith((".yaml", ".yml"))]
+    if len(files) + (command.config is not None) > 1:
+        raise ConfigError("a dataset has one configuration", hint="give one file; KEY=VALUE changes what it says")
+    changes = [word for word in command.overrides if Path(word) not in files]
+    return next(iter(files), command.config), changes
 
 
 def _shift(moved: Mapping[str, float]) -> str:

@@ -75,12 +75,14 @@ def run(command: Train) -> None:
     if command.val is not None and (command.splits is not None or not 0 < command.val < 1):
         why = "--splits says who validates" if command.splits is not None else f"--val {command.val:g} is no share"
         raise ConfigError(why, hint="leave out --val, or give a number between 0 and 1 and no --splits")
+    from cabinpose.estimate import read_train_config
+
+    config = read_train_config(command.config, command.method)  # what is wrong is told before torch is loaded
     helps = any(os.environ.get(name, "0") != "0" for name in _RANKS)
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress(silent=helps)), False
         report.phase("loading torch")
         from cabinpose.app.report.raster import write_curves
-        from cabinpose.app.training import read_train_config
         from cabinpose.estimate import METHODS, ArrayMethod, Machines, Observers, Start, fit, frame_spec
 
         def show(done: int, total: int, note: str) -> None:
@@ -93,7 +95,6 @@ def run(command: Train) -> None:
             else:
                 report.phase(note)
 
-        config = read_train_config(command.config, command.method)
         unit = "steps" if isinstance(METHODS[config.method], ArrayMethod) else "batches"
         report.phase("opening datasets")
         training, validation = _frames(command, frame_spec(config), config.seed, helps=helps)

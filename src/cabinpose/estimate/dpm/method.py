@@ -14,7 +14,7 @@ from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.methods import ArrayMethod, Progress
 
 if TYPE_CHECKING:
-    from cabinpose.estimate.augment import AugmentConfig
+    from cabinpose.estimate.settings import AugmentConfig
 
 
 class DpmMethod(ArrayMethod[DpmConfig]):

@@ -14,7 +14,7 @@ from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.find import check, find
 
 if TYPE_CHECKING:
-    from cabinpose.estimate.augment import AugmentConfig
+    from cabinpose.estimate.settings import AugmentConfig
 
 
 class WalksMethod(ArrayMethod[WalksConfig]):

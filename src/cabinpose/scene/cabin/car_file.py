@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cabinpose.core import ConfigError, read_yaml
+from cabinpose.core import ConfigError, explained, read_yaml
 from cabinpose.scene.cabin.model import STATIC_GROUP, WHEEL_GROUP
 from cabinpose.scene.cabin.seats import PAN_BEHIND_H, PAN_BELOW_H
 from cabinpose.scene.labels import LABEL_ID as LABEL
@@ -169,15 +169,18 @@ COMMON_RULES = (
 
 def read_car_file(path: Path) -> CabinFile:
     """The YAML of a car mesh, checked; raises ConfigError that names the key."""
+    from cabinpose.scene.cabin.meshfile import SUFFIXES  # noqa: PLC0415 - trimesh
+
+    if path.suffix.lower() in SUFFIXES:
+        hint = f"`cabinpose car init {path} --out {path.stem}.yaml` writes the YAML file that does"
+        raise ConfigError(f"{path} is a mesh, and does not say what is what in it", hint=hint)
     data = read_yaml(path, hint="give the YAML file that describes the car mesh, with mesh, seats and steering_wheel")
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path} is no mapping of keys to values", hint="it takes at least `mesh` and `seats`")
     try:
         spec = CabinFile.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        raise ConfigError(f"{path}: {where}: {first['msg']}", hint=f"known keys: {', '.join(CabinFile.model_fields)}") from None
+        raise explained(error, CabinFile, data, at=f"{path}: ", lists="docs/own-car.md lists the keys") from None
     for rule in spec.rules:
         known_groups = [STATIC_GROUP, WHEEL_GROUP] + [f"seat:{s}/{g}" for s in spec.seats for g in ("base", "back", "headrest")]
         for kind, value, known in (

@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, explained
 
 
 def _dimension(code: str, default: float, low: float, high: float, meaning: str) -> Any:
@@ -130,14 +130,4 @@ class CabinDimensions(DimensionFields):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise _config_error(error) from None
-
-
-def _config_error(error: ValidationError) -> ConfigError:
-    first = error.errors()[0]
-    name = ".".join(str(p) for p in first["loc"])
-    if first["type"] == "extra_forbidden":
-        return ConfigError(f"unknown cabin dimension '{name}'", hint=f"known: {', '.join(CabinDimensions.model_fields)}")
-    field = CabinDimensions.model_fields.get(name)
-    hint = field.description if field is not None else None
-    return ConfigError(f"cabin dimension {name} = {first['input']!r}: {first['msg']}", hint=hint)
+            raise explained(error, type(self), values, lists=f"known: {', '.join(CabinDimensions.model_fields)}") from None

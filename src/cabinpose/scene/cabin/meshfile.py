@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
@@ -205,6 +206,7 @@ def _read(path: Path) -> list[NamedMesh]:
 def _meshes_of(path: Path, scene: trimesh.Scene) -> list[NamedMesh]:
     """The triangle meshes of a scene, in its own frame."""
     meshes = []
+    names = _steady_names(scene)
     for node in scene.graph.nodes_geometry:
         matrix, key = scene.graph[node]
         geometry = scene.geometry[key]
@@ -218,7 +220,7 @@ def _meshes_of(path: Path, scene: trimesh.Scene) -> list[NamedMesh]:
         faces = np.asarray(geometry.faces, dtype=np.int32)
         if rp.matmul(np.cross(matrix[0, :3], matrix[1, :3]), matrix[2, :3]) < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
-        name = f"{node}/{key}/{material}"
+        name = f"{names[node]}/{key}/{material}"
         if not np.isfinite(vertices).all():
             bad = int((~np.isfinite(vertices)).any(axis=1).sum())
             raise MeshError(f"{path}: mesh '{name}' has {bad} vertices that are not numbers", hint="repair the export")
@@ -226,6 +228,23 @@ def _meshes_of(path: Path, scene: trimesh.Scene) -> list[NamedMesh]:
             raise MeshError(f"{path}: the vertices of mesh '{name}' cannot be decoded", hint="export it without compression")
         meshes.append(NamedMesh(name, vertices, faces))
     return meshes
+
+
+def _steady_names(scene: trimesh.Scene) -> dict[str, str]:
+    """Names of the nodes with triangles, by trimesh's, which gives those of a mesh with several materials six random characters.
+
+    In their place stands the number of the part.
+    """
+    parents, counts = scene.graph.transforms.parents, Counter[str]()
+    names = {}
+    for node in scene.graph.nodes_geometry:
+        owner = str(parents.get(node, ""))
+        if re.fullmatch(rf"{re.escape(owner)}_[0-9a-f]{{6}}", node):
+            counts[owner] += 1
+            names[node] = f"{owner}_{counts[owner]}"
+        else:
+            names[node] = node
+    return names
 
 
 def _check_ply(path: Path) -> None:
