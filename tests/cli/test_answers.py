@@ -108,6 +108,20 @@ ANSWERS = [
     (f"{SYNTH}scene.kind=cabbin", "scene.kind: must be one of cabin, room, not 'cabbin'"),
     (f"{SYNTH}nothing.at.all=1", "nothing: unknown key", "keys here: version, scene, people"),
     ("config check t.yaml scene.cars=suv", "scene.cars: must be a list", "scene.cars=[suv]"),
+    (
+        "config check bad.yaml",
+        "scene.occupant: did you mean scene.occupants",
+        "camera.views.NAME.position_m?",
+    ),
+    ("config check broken.yaml", "broken.yaml is not YAML that can be read: line 2, column 3"),
+    (f"{SYNTH}scene=room", "did you mean scene.kind=room?"),
+    (f"{SYNTH}camera=evk75123", "keys of camera: sensor, views"),
+    (f"{SYNTH}scene.occupants.driver=S03", "keys of scene.occupants.driver: subject, action"),
+    (f"{SYNTH}scene.kind=room scene.cars=[suv]", "scene.cars: unknown key", "keys of scene: kind, rooms, facing_deg"),
+    (f"{SYNTH}scene.occupancy={{pilot:1}}", "a blank follows the colon: pilot: 1"),
+    (f"{SYNTH}images.variables=[color]", "did you mean rgb?"),
+    (f"{SYNTH}'people.random.ranges.age={{low: 20, high: 40}}'", "keys of people.random.ranges.age: min, max"),
+    ("record rig.yaml --check", "sources: this key is required; cameras: unknown key", "did you mean sources?"),
     # words of commands
     ("generate --frames 3", "there is no command 'generate'", "cabinpose synth"),
     ("render", "cabinpose synth"),
@@ -170,6 +184,10 @@ ANSWERS = [
     ("record nope.yaml --check", "cannot read nope.yaml"),
     ("export cocojson d --out z", "unknown format 'cocojson'", "did you mean coco?"),
     ("export yolov8 d --out z", "did you mean yolo?"),
+    ("export d --out z", "export FORMAT d"),
+    ("export d coco --out z", "cabinpose export coco d --out z"),
+    ("predict d --model incar --out f.jsonl", "did you mean in_car?"),
+    ("synth --frames 3 --out z --scene.cars suv", "scene.cars=suv"),
     ("export coco d", "`cabinpose export coco` needs --out PATH"),
     ("export coco d --out z --frame-id 3", "there is no flag --frame-id"),
     ("import rosbag my.bag --out z.mcap", "did you mean rosbag2?"),
@@ -192,6 +210,9 @@ def workplace(dataset_folder: Path, tmp_path_factory: pytest.TempPathFactory) ->
     (folder / "d").symlink_to(dataset_folder)
     for name in ("t.yaml", "u.yaml"):
         (folder / name).write_text("version: 1\n", encoding="utf-8")
+    (folder / "bad.yaml").write_text("scene: {occupant: 1}\ncamera: {pos: [1, 2, 3]}\n", encoding="utf-8")
+    (folder / "broken.yaml").write_text("a: [1\n b: 2", encoding="utf-8")
+    (folder / "rig.yaml").write_text("cameras: {}\n", encoding="utf-8")
     (folder / "run.yaml").write_text("lr0: 0.01\n", encoding="utf-8")
     (folder / "found.jsonl").touch()
     (folder / "t.glb").touch()
@@ -300,7 +321,7 @@ def test_synonyms_stand_for_what_exists() -> None:
     paths = {f".{path}" for model in models for path in _key_paths(model.model_json_schema())}
     ends = {end for each in KEYS.values() for end in each} - {"kind"}  # `kind` is of any source
     assert {end for end in ends if not any(path.endswith(f".{end}") for path in paths)} == set()
-    chosen = {*PRESETS, *SUBJECTS, "front_passenger", "rear_left", "rear_center", "rear_right", "parts"}
+    chosen = {*PRESETS, *SUBJECTS, "front_passenger", "rear_left", "rear_center", "rear_right", "parts", "rgb", "nir"}
     for kind in ("actions", "sensors", "things", "sources", "formats", "methods"):
         chosen |= set(Registry(f"cabinpose.{kind}", kind, object).names())
     assert {name for names in NAMES.values() for name in names} <= chosen

@@ -94,6 +94,7 @@ from .skeleton import skeleton_of as skeleton_of
 from .skeleton import skeleton_with as skeleton_with
 from .synonyms import ELSEWHERE as ELSEWHERE
 from .synonyms import KEYS as KEYS
+from .synonyms import NAMES as NAMES
 from .synonyms import alike as alike
 from .synonyms import by_word as by_word
 from .units import CMU_UNIT_M as CMU_UNIT_M

@@ -8,13 +8,14 @@ from functools import cache
 from typing import Any, NamedTuple, Protocol
 
 from cabinpose.core.errors import CabinposeError, ConfigError
-from cabinpose.core.synonyms import ELSEWHERE, KEYS, alike
+from cabinpose.core.synonyms import ELSEWHERE, KEYS, NAMES, alike
 
 Place = tuple[str | int, ...]
 Schema = Mapping[str, Any]
 _LONGEST = 60  # characters of a value that a message shows
 _MOST_KEYS = 40  # that a hint lists
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+_FOLLOWS = ("default_factory_not_called",)  # from what else is wrong
 _A_LIST, _A_MAPPING = "a list", "a mapping of keys to values"
 _KINDS = {
     **dict.fromkeys(("tuple_type", "list_type", "set_type", "frozen_set_type", "iterable_type"), _A_LIST),
@@ -76,15 +77,14 @@ def explained(
     written
         How a path is written, for settings that are flags.
     """
-    found = [_finding(about, data) for about in error.errors()]
+    found = [_finding(about, data) for about in error.errors() if about["type"] not in _FOLLOWS]
     findings = [each for group in _by_union(found) for each in _meant(group) if not _follows(each, found)]
     tell = _Tell(_schema(model), lists, at, written)
     lines = list(dict.fromkeys(tell.line(each, findings) for each in findings))
-    by_help = sorted(
-        findings, key=lambda each: each.about["type"] not in _UNKNOWN
-    )  # what was meant says more than what is lacking
-    hints = (hint for each in by_help if (hint := tell.hint(each)))
-    return kind(f"{at if at.endswith(': ') else ''}{'; '.join(lines)}", hint=next(hints, lists))
+    unknown = [each for each in findings if each.about["type"] in _UNKNOWN]
+    meant = [f"{path_text(each.place)}: {said}" for each in unknown if (said := tell.meant(each))] if len(unknown) > 1 else []
+    hints = (hint for each in (*unknown, *findings) if (hint := tell.hint(each)))  # what was meant says more than what is lacking
+    return kind(f"{at if at.endswith(': ') else ''}{'; '.join(lines)}", hint=" ".join(meant) or next(hints, lists))
 
 
 def keys_alike(model: Any, word: str, value: str = "") -> tuple[str, ...]:
@@ -179,6 +179,11 @@ def _follows(finding: _Finding, found: Sequence[_Finding]) -> bool:
     return within and finding.about["type"] == "too_short"
 
 
+def _lacks_blank(finding: _Finding) -> bool:
+    """Whether a key swallowed its value, as in {years:5}."""
+    return bool(finding.place) and ":" in str(finding.place[-1]) and finding.about["input"] is None
+
+
 class _Tell:
     """The words for findings on settings of one model."""
 
@@ -219,9 +224,11 @@ class _Tell:
         """What to try; empty where the schema says nothing of it."""
         about, place = finding.about, finding.place
         if about["type"] in _UNKNOWN:
-            return self._of_unknown(place, about["input"])
+            return self._of_unknown(finding)
+        if _lacks_blank(finding):
+            return self.meant(finding)
         if about["type"] in ("literal_error", "enum"):
-            near = alike(str(about["input"]), _plain(about["ctx"]["expected"]).split(", "))
+            near = alike(str(about["input"]), _plain(about["ctx"]["expected"]).split(", "), NAMES)
             return f"did you mean {_any_of(near)}?" if near else ""
         if _KINDS.get(about["type"]) == _A_LIST and isinstance(about["input"], (str, int, float)):
             return f"a list is written in brackets: {self._written(place)}=[{about['input']}]"
@@ -229,26 +236,41 @@ class _Tell:
             told = next((node["description"] for node in self._nodes(place) if "description" in node), "")
             keys = self._keys(place[:-1])
             return f"{place[-1]}: {told}" if told else f"keys here: {', '.join(keys)}" if keys else ""
+        keys = self._keys(place) if _KINDS.get(about["type"]) == _A_MAPPING else []
+        if "kind" in keys and about["input"] in self._choices((*place, "kind")):
+            return f"did you mean {path_text(place)}.kind={about['input']}?"
         told = next((node["description"] for node in self._nodes(place) if "description" in node), "")
-        return f"{self._written(place)}: {told}" if told and place else ""
+        if told and place:
+            return f"{self._written(place)}: {told}"
+        return f"keys of {path_text(place)}: {', '.join(keys)}" if 0 < len(keys) <= _MOST_KEYS else ""
 
-    def _of_unknown(self, place: Place, value: object) -> str:
-        *parent, word = place
-        if ":" in str(word) and value is None:
-            return f"in YAML a blank follows the colon: {str(word).replace(':', ': ', 1)}"
-        above = path_text(tuple(parent))
-        paths = [self._concrete(path, parent) for path in _key_paths(self.schema)]
-        near = alike(str(word), paths, KEYS, within=above)
-        keys = self._keys(tuple(parent))
-        said = [f"did you mean {_any_of([self.with_value(path, value) for path in near])}?"] if near else []
-        beside = any(path.rpartition(".")[0] == above for path in near)
-        if not beside and (told := ELSEWHERE.get(str(word).lower())):
-            said.append(f"{told};")
+    def _of_unknown(self, finding: _Finding) -> str:
+        """What may be meant by a key, and the keys beside it."""
+        said = self.meant(finding)
+        *parent, _ = finding.place
+        keys, above = self._keys(tuple(parent), finding.union), path_text(tuple(parent))
         if keys and len(keys) <= _MOST_KEYS:
-            said.append(f"keys {f'of {above}' if above else 'here'}: {', '.join(keys)}")
-        elif not said or said[-1].endswith(";"):
-            said.append(self._lists)
+            joint = " " if said.endswith("?") else "; " if said else ""
+            said += f"{joint}keys {f'of {above}' if above else 'here'}: {', '.join(keys)}"
+        return said or self._lists
+
+    def meant(self, finding: _Finding) -> str:
+        """What may be meant by a key, or where else it is told; empty where nothing is like it."""
+        *parent, word = finding.place
+        value, above = finding.about["input"], path_text(tuple(parent))
+        if _lacks_blank(finding):
+            return f"in YAML a blank follows the colon: {str(word).replace(':', ': ', 1)}"
+        paths = [self._concrete(path, parent) for path in _key_paths(self.schema)]
+        near = alike(str(word), [path for path in paths if path != path_text(finding.place)], KEYS, within=above)
+        beside = any(path.rpartition(".")[0] == above for path in near)
+        said = [f"did you mean {_any_of([self.with_value(path, value) for path in near])}?"] if near else []
+        said += [told] if not beside and (told := ELSEWHERE.get(str(word).lower())) else []
         return " ".join(said)
+
+    def _choices(self, place: Place) -> list[object]:
+        """The values that a key can have, where they are listed."""
+        nodes = (member for node in self._nodes(place) for member in _members(node, self._definitions))
+        return [value for node in nodes for value in (*node.get("enum", ()), *([node["const"]] if "const" in node else ()))]
 
     def with_value(self, path: str, value: object) -> str:
         """A path, with the value as a list where the key takes one and somebody gave one thing."""
@@ -267,10 +289,15 @@ class _Tell:
                 break
         return ".".join(keys)
 
-    def _nodes(self, place: Sequence[str | int]) -> list[Schema]:
-        """The nodes of the schema at a place, with what the parent says of it."""
+    def _nodes(self, place: Sequence[str | int], union: tuple[Place, str] | None = None) -> list[Schema]:
+        """The nodes of the schema at a place, with what the parent says of it; of a union that its data name, that member."""
         nodes: list[Schema] = [self.schema]
-        for key in place:
+        for number, key in enumerate((*place, None)):
+            if union and tuple(place[:number]) == union[0]:
+                named = [node.get("discriminator", {}).get("mapping", {}).get(union[1]) for node in nodes]
+                nodes = [{"$ref": name} if name else node for name, node in zip(named, nodes, strict=True)]
+            if key is None:
+                break
             below: list[Schema] = []
             for each in (member for node in nodes for member in _members(node, self._definitions)):
                 child = each.get("properties", {}).get(key)
@@ -279,9 +306,9 @@ class _Tell:
             nodes = below
         return nodes
 
-    def _keys(self, place: Place) -> list[str]:
+    def _keys(self, place: Place, union: tuple[Place, str] | None = None) -> list[str]:
         """The keys of the mapping at a place."""
-        nodes = (member for node in self._nodes(place) for member in _members(node, self._definitions))
+        nodes = (member for node in self._nodes(place, union) for member in _members(node, self._definitions))
         return list(dict.fromkeys(key for node in nodes for key in node.get("properties", {})))
 
 

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from types import MappingProxyType
 
-_ALIKE = 0.75  # difflib's ratio; below it "camera" is offered for "car"
+_ALIKE, _ELSEWHERE = 0.75, 0.85  # difflib's ratio, of names in the same mapping and in others: "height" is offered for no "high"
 _MOST = 3
+_UNITS = ("m", "mm", "cm", "px", "deg", "rad", "s", "us", "hz", "kg", "e")  # that keys end with
 
 
 def by_word(rows: Mapping[str, str]) -> Mapping[str, tuple[str, ...]]:
@@ -69,7 +70,7 @@ KEYS = by_word(
         "frequencies_hz, modulation_hz": "modulation_frequency modulation frequency frequencies",
         "camera.jitter_m, camera.jitter_deg": "camera_jitter camera_noise perturbation",
         # what is drawn and written
-        "noise": "depth_noise noise_model sigma noise_std gaussian",
+        "noise": "depth_noise noise_model noise_std gaussian",
         "images.variables": "rgb color colour nir ir infrared modalities passes render_passes",
         "images.renderer": "engine render_engine",
         "images.samples": "spp samples_per_pixel cycles_samples",
@@ -106,7 +107,7 @@ KEYS = by_word(
         "rules": "materials labels classes material",
         "eye": "camera",
         # recordings
-        "sources": "devices sensors inputs streams topics nodes",
+        "sources": "cameras devices sensors inputs streams topics nodes",
         "take.subjects": "participants participant",
         "kind": "type driver device driver_name",
         "host": "ip ip_address address hostname server",
@@ -120,6 +121,8 @@ KEYS = by_word(
 # Names of what is chosen, likewise.
 NAMES = by_word(
     {
+        "rgb": "color colour",
+        "nir": "ir infrared",
         "city_car": "mini small_car compact_car smart",
         "sedan": "limousine saloon",
         "suv": "jeep 4x4 crossover offroad",
@@ -209,13 +212,17 @@ def alike(
     said = word.lower().replace("-", "_")
     last = {name: name.rpartition(".")[2].removesuffix("[]").lower().replace("-", "_") for name in names}
     meant = [name for end in synonyms.get(said, ()) for name in names if name == end or name.endswith(f".{end}")]
-    spelt = get_close_matches(said, dict.fromkeys(last.values()), n=_MOST, cutoff=_ALIKE)
+    beside = [name for name in names if name.rpartition(".")[0] == within]
+    spelt = [
+        *get_close_matches(said, [last[name] for name in beside], n=_MOST, cutoff=_ALIKE),
+        *get_close_matches(said, dict.fromkeys(last.values()), n=_MOST, cutoff=_ELSEWHERE),
+    ]
     for found in (
         [name for name in names if last[name] == said],
         meant,
-        [name for name in names if last[name].startswith(f"{said}_")],  # with its unit
+        [name for name in names if last[name].rpartition("_")[::2] in ((said, unit) for unit in _UNITS)],
         [name for near in spelt for name in names if last[name] == near],
     ):
         if found:
-            return tuple(sorted(dict.fromkeys(found), key=lambda name: name.rpartition(".")[0] != within)[:_MOST])
+            return tuple(sorted(dict.fromkeys(found), key=lambda name: name not in beside)[:_MOST])
     return ()

@@ -28,7 +28,14 @@ def read_yaml(path: Path, *, hint: str, error: type[CabinposeError] = ConfigErro
     except OSError as problem:
         raise error(f"cannot read {path}: {problem.strerror}", hint=hint) from problem
     except (UnicodeDecodeError, yaml.YAMLError) as problem:
-        raise error(f"{path} is not YAML that can be read: {problem}", hint=hint) from problem
+        raise error(f"{path} is not YAML that can be read: {_in_one_line(problem)}", hint=hint) from problem
+
+
+def _in_one_line(problem: Exception) -> str:
+    """What is wrong with a text, and where."""
+    mark = getattr(problem, "problem_mark", None)
+    where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
+    return f"{where}{getattr(problem, 'problem', None) or ' '.join(str(problem).split())}"
 
 
 def parse_yaml(text: str) -> Any:

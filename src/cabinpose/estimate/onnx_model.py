@@ -16,7 +16,19 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from cabinpose.core import IMAGES, Camera, ConfigError, FrameBatch, ModelError, camera_from, check_onnx, open_onnx, run_onnx
+from cabinpose.core import (
+    IMAGES,
+    NAMES,
+    Camera,
+    ConfigError,
+    FrameBatch,
+    ModelError,
+    alike,
+    camera_from,
+    check_onnx,
+    open_onnx,
+    run_onnx,
+)
 from cabinpose.estimate.expected_error import METADATA_KEY as EXPECTED_ERROR
 from cabinpose.estimate.expected_error import check as check_expected_error
 from cabinpose.estimate.inputs import InputView, channels_first
@@ -137,8 +149,11 @@ def _checked_ranges(trained_on: Mapping[Any, Any]) -> dict[str, str]:
 def existing(path: Path | str) -> Path:
     """The path of a file that is there. Raises ModelError."""
     if not Path(path).is_file():
-        known = ", ".join(packaged_models()) or "none"
-        raise ModelError(f"there is no model {path}", hint=f"give an ONNX file, or a packaged model ({known})")
+        packaged = packaged_models()
+        near = alike(str(path), packaged, NAMES)
+        meant = f"did you mean {' or '.join(near)}? " if near else ""
+        hint = f"{meant}give an ONNX file, or a packaged model ({', '.join(packaged) or 'none'})"
+        raise ModelError(f"there is no model {path}", hint=hint)
     return Path(path)
 
 

@@ -426,6 +426,7 @@ def _overridden(data: Any, overrides: Sequence[str]) -> Any:
     defaults = {"occupancy": CabinScene().occupancy, "views": Camera().views}
     for override in overrides:
         keys, equals, text = override.partition("=")
+        keys = keys.strip()
         try:
             value = parse_yaml(text)
         except yaml.YAMLError:

@@ -65,8 +65,16 @@ def parsed(verb: str, command: Any, words: Sequence[str], about: str) -> Any:
         if words[0] in ("-h", "--help"):
             print(command.help(verb, about))
             raise SystemExit(0)
-        name, *words = words
-        prog, chosen = f"{prog} {name}", command.command(name)
+        name, *rest = words
+        try:
+            prog, chosen = f"{prog} {name}", command.command(name)
+        except ConfigError as error:
+            from cabinpose.app.cli.complaints import misplaced
+
+            meant = misplaced(prog, command.kind, command.names(), words)
+            error.hint = meant if meant and not meant.endswith("; ") else f"{meant}{error.hint}"
+            raise
+        words = rest
     else:
         chosen = command() if isfunction(command) else command
         if (inner := _inner(chosen)) and not (words and words[0] in ("-h", "--help")):

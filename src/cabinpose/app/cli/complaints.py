@@ -168,6 +168,14 @@ def unknown_inner(prog: str, inner: Sequence[str], word: str) -> CabinposeError:
     return CabinposeError(f"there is no `{prog} {word}`", hint=f"{meant}{known}")
 
 
+def misplaced(prog: str, kind: str, names: Sequence[str], words: Sequence[str]) -> str:
+    """A hint for the first of some words where another one should stand; empty where there is none to give."""
+    if found := next((word for word in words[1:] if word in names), None):
+        rest = " ".join(word for word in words if word != found)
+        return f"the {kind} comes first: {prog} {found} {rest}"
+    return f"the {kind} comes before {words[0]}: {prog} {kind.upper()} {words[0]}; " if Path(words[0]).exists() else ""
+
+
 def complaint(
     prog: str, fields: Sequence[StructFieldSpec], words: Sequence[str], having: Callable[[str], Sequence[str]] = lambda _: ()
 ) -> CabinposeError | None:
@@ -268,7 +276,7 @@ def _hint_of_flag(prog: str, name: str, value: str, taken: Sequence[Flag], havin
     near = [flag.name for flag in taken if not flag.positional and flag.name in FLAGS.get(word, ())]
     first = next((flag for flag in taken if flag.positional), None)
     if not near and first is not None and word in _OBJECTS and get_origin(first.kind) is not Literal:
-        metavar = re.findall(r"[A-Z][A-Z|=]+", first.name)[:1] or [first.name]
+        metavar = re.findall(r"[A-Z]{2,}", first.name)[:1] or [first.name]
         return f"the {metavar[0].lower()} follows the verb: {prog} {metavar[0]}"
     near = near or [f"--{each}" for each in alike(word, [flag.name[2:] for flag in taken if not flag.positional], {})]
     if near:
@@ -283,6 +291,6 @@ def _keys_like(verb: str, word: str, value: str) -> str:
     if verb not in _SETTINGS:
         return ""
     module, name, how = _SETTINGS[verb]
-    near = keys_alike(getattr(import_module(module), name), word, value)
+    near = keys_alike(getattr(import_module(module), name), word.rpartition(".")[2], value)
     told = " or ".join(near)
     return how.format(told if verb == "synth" else told.replace("=", ": ")) if near else ""
