@@ -438,7 +438,7 @@ def test_balance_and_points_in_one_frame(library: Library) -> None:
         ({"recording": "a.bltstream", "frame_rate_hz": 5}, "nothing can be set"),
         ({"integration_us": 0}, "greater than 0"),
         ({"frame_rate_hz": float("nan")}, "finite"),
-        ({"registers": {"0xZZ": 1}}, "valid integer"),
+        ({"registers": {"0xZZ": 1}}, "a whole number"),
         ({"registers": {1: 2**32}}, "less than"),
         ({"two_integrations": {"times_us": [1, 2], "registers": [1, 2], "idle_registers": [3, 4]}}, "need cpu_clock_hz"),
     ],

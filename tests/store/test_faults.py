@@ -172,8 +172,8 @@ def test_resume_refuses_a_damaged_part(spheres: ModuleType, dataset_folder: Path
     [
         ("schema_version: 1", "schema_version: 2", "has schema version 2, this program reads version 1"),
         ("schema: cabinpose-dataset", "schema: other", "is not the manifest of a dataset"),
-        ("frames: 5", "frames: five", "frames: Input should be a valid integer"),
-        ("seed: 7", "seed: 7\nsede: 8", "sede: Extra inputs are not permitted"),
+        ("frames: 5", "frames: five", "frames: must be a whole number, not 'five'"),
+        ("seed: 7", "seed: 7\nsede: 8", "sede: unknown key"),
         ("seed: 7", "seed: [7", "is not YAML"),
     ],
 )
