@@ -77,7 +77,7 @@ class OurDetector(Subject):
         found = self._model.method.decode(answers or outputs, self._model.config, seen)
         poses = self._predictor.poses(found, cameras)
         decoded = time.perf_counter()
-        self._predictor.believed(poses, frames, seen, cameras)
+        self._predictor.believed(poses, frames, every, seen, cameras)
         return prepared - start, answered - prepared, decoded - answered, time.perf_counter() - decoded
 
 

@@ -49,6 +49,15 @@ def test_projection_is_opencvs(dist: tuple[float, float, float, float, float], s
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3, 4])
+def test_a_turned_camera_has_the_rays_of_the_turned_image(camera: Camera, quarters: int) -> None:
+    turned = camera.turned(quarters)
+    x, y = np.rot90(camera.rays, quarters).transpose(2, 0, 1)
+    wanted = {0: (x, y), 1: (y, -x), 2: (-x, -y), 3: (-y, x)}[quarters % 4]
+    np.testing.assert_allclose(turned.rays, np.stack(wanted, axis=-1), atol=1e-9)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
 def test_undistortion_is_opencvs(camera: Camera) -> None:
     rng = np.random.default_rng(1)
     uv = rng.uniform((0, 0), (camera.width - 1, camera.height - 1), (300, 2))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,11 @@ import pytest
 
 from cabinpose import _native
 from cabinpose._native import estimate
-from cabinpose.core import PoseBatch, joined
-from cabinpose.estimate import JointPredictor, load_model
+from cabinpose.core import Camera, FrameBatch, PoseBatch, joined
+from cabinpose.estimate import JointPredictor, PartSegmenter, load_model, open_model
 from cabinpose.estimate.sight import _Limits, _Seen
+from cabinpose.scene.sensor import SENSORS
+from cabinpose.store.itop import read_itop_frames
 
 SIDE = np.random.default_rng(3)
 LIMITS = _Limits(4)
@@ -137,14 +141,13 @@ def test_the_kernel_counts_what_numpy_counts_and_either_build_the_same(frame: di
 @pytest.mark.slow
 def test_real_frames_of_people_are_answered(real_data: Callable[[str], Path]) -> None:
     k = np.array([[285.714, 0, 160.0], [0, 285.714, 120], [0, 0, 1]])
-    cropped = np.diag((100 / 240, 100 / 240, 1)) @ np.array([[285.714, 0, 119.5], [0, 285.714, 119.5], [0, 0, 1]])
     with np.load(real_data("itop/itop_train_full_2.npz")) as file:
         frames = [(file["depth_mm"] / 1000, k)]
     with np.load(real_data("tof/kinect_v2_panoptic.npz")) as file:
         frames.append((file["depth_m"][None], file["camera_k"]))
     for view in ("front", "top"):
-        with np.load(real_data(f"itop/itop_{view}_64.npz")) as file:
-            frames.append((4.24 * file["depth01"], cropped))
+        itop = read_itop_frames(real_data(f"itop/itop_{view}_64.npz"))
+        frames.append((itop["depth"], itop["camera_k"]))
     for name in ("room", "room_top", "paf"):  # paf sees a few pixels of them, which are not judged by their shape
         model = load_model(name, threads=1)
         for depth, camera_k in frames:
@@ -160,3 +163,37 @@ def test_reasons_go_with_their_frames() -> None:
     assert joined([batch, batch]).reason.tolist() == [*reasons, *reasons]
     with pytest.raises(ValueError, match="reasons of shape"):
         PoseBatch(batch.joints_2d, batch.joints_3d, batch.score, batch.presence, reason=reasons[:2])
+
+
+def test_a_field_of_view_that_the_model_does_not_know_is_told_once() -> None:
+    narrow, usual, wide = (Camera.from_fov(320, 240, np.radians(fov)) for fov in (30, 90, 140))
+    room, car = load_model("room", threads=1), load_model("in_car", threads=1)
+    for name in SENSORS:  # of these and of frames cut out of them, nothing is said
+        camera = SENSORS[name].camera
+        cut = replace(camera, width=camera.width * 3 // 4, cx=camera.cx - camera.width / 8)
+        assert not any(model.config.view.doubts(each) for model in (room, car) for each in (camera, cut))
+    depth = np.ones((240, 320))
+    with pytest.warns(UserWarning, match="in_car: images of 30° x 23° fill 3.9 % of the 103° x 93°"):
+        (remark,) = car(depth, narrow.k, depth).remarks
+    assert "fill" in remark
+    with pytest.warns(UserWarning, match="room: the model looks at 46° x 46° about the axis, 3 % of images of 140° x 128°"):
+        (remark,) = room(depth, wide.k).remarks
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*(fill|looks at)")
+        assert car(depth, narrow.k, depth).remarks  # told before
+        assert car(depth, usual.k, depth).remarks == room(depth, usual.k).remarks == ()
+
+
+def test_a_segmentation_tells_its_field_of_view_once() -> None:
+    parts = open_model("parts", threads=1)
+    assert isinstance(parts, PartSegmenter)
+    for fov, told in ((90, 0), (30, 1), (30, 0)):
+        frames = FrameBatch(
+            depth=np.ones((1, 240, 320), np.float32),
+            camera_k=Camera.from_fov(320, 240, np.radians(fov)).k,
+            camera_dist=np.zeros(5),
+        )
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            parts.segment(frames)
+        assert len([each for each in caught if "parts: images of 30°" in str(each.message)]) == told

@@ -49,17 +49,23 @@ def test_a_shipped_model_answers_the_same_bits(frames: FrameBatch, query: str) -
 
 
 @pytest.mark.parametrize("query", ["", "?shared_memory=off"])
-def test_reasons_come_to_those_who_ask(frames: FrameBatch, query: str) -> None:
+def test_reasons_and_remarks_come_to_those_who_ask(frames: FrameBatch, query: str) -> None:
     model = load_model("in_car", threads=1)
     frames["depth"][1] = 1.0
+    frames["depth"][2, :, : frames["depth"].shape[2] // 3] = 0.05
     running = start_server(model)
     try:
-        there = open_predictor(running.address + query).predict(frames)
+        remote = open_predictor(running.address + query)
+        with pytest.warns(UserWarning, match="in_car: .* something lies on a part of the lens"):
+            there = remote.predict(frames)
+        here = model.predict(frames)
         assert [bool(reason) for reason in there.reason] == [False, True, False]
-        assert there.reason.tolist() == model.predict(frames).reason.tolist()
+        assert there.reason.tolist() == here.reason.tolist()
+        assert there.remarks == here.remarks != ()
+        assert remote.predict({**frames, "depth": frames["depth"][:1]}).remarks == ()
         client = triton.InferenceServerClient(running.address.removeprefix("grpc://").split("/")[0])
         plain = client.infer("in_car", _triton_inputs(frames, 1))
-        assert plain.as_numpy("reason") is None  # whoever does not ask gets what there was before
+        assert plain.as_numpy("reason") is plain.as_numpy("remarks") is None  # whoever does not ask gets what there was before
         asked = client.infer("in_car", _triton_inputs(frames, 1), outputs=[triton.InferRequestedOutput("reason")])
         assert asked.as_numpy("reason")[0].decode() == there.reason[1]
         client.close()

@@ -20,6 +20,7 @@ from cabinpose.estimate.remote import (
     INPUTS,
     OUTPUTS,
     PLATFORM,
+    SENTENCES,
     VERSION,
     Arrays,
     ServerRegions,
@@ -123,10 +124,11 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
                 found = self._predictor.predict(frames)
         finally:
             self._turn.release()
-        return {name: getattr(found, name) for name in (*POSE_ARRAYS, "reason")} | self._names
+        remarks = np.array(found.remarks or ("",), object)
+        return {name: getattr(found, name) for name in (*POSE_ARRAYS, "reason")} | {"remarks": remarks} | self._names
 
     def _put(self, response: Any, answer: Arrays, asked: Sequence[Any]) -> None:
-        """The outputs that were asked for, or all but the reason, into the response or into shared memory."""
+        """The outputs that were asked for, or all but the sentences, into the response or into shared memory."""
         wanted = {output.name: output.parameters for output in asked}
         if unknown := wanted.keys() - answer.keys():
             raise TensorError(f"there is no output {min(unknown)[:64]!r}; known: {', '.join(answer)}")
@@ -134,7 +136,7 @@ class _Service(service_pb2_grpc.GRPCInferenceServiceServicer):
             parameters = wanted.get(spec.name, {})
             if "shared_memory_region" in parameters:
                 self._share(response, answer, spec, parameters)
-            elif spec.name in wanted or (not wanted and spec.name != "reason"):
+            elif spec.name in wanted or (not wanted and spec.name not in SENTENCES):
                 add_tensors(response.outputs, response.raw_output_contents, answer, [spec])
 
     def _share(self, response: Any, answer: Arrays, spec: TensorSpec, parameters: Any) -> None:

@@ -93,6 +93,16 @@ class Camera:
         """
         return _scaled(self, factor)
 
+    def turned(self, quarters: int) -> Camera:
+        """The camera of its images turned counter-clockwise by so many quarters, as `numpy.rot90` turns them."""
+        if not quarters % 4:
+            return self
+        k1, k2, p1, p2, k3 = self.dist
+        once = Camera(
+            self.height, self.width, self.fy, self.fx, self.cy, self.width - 1 - self.cx, (k1, k2, -p2, p1, k3)
+        )  # fmt: skip
+        return once.turned(quarters - 1)
+
     def distort(self, xy: ArrayLike) -> Array:
         """Ideal normalised coordinates (..., 2) to distorted ones."""
         xy_ = np.asarray(xy, dtype=np.float64)

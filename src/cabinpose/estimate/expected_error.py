@@ -85,6 +85,11 @@ def expected_errors(table: Table, joints: Sequence[str], found: Found) -> Array:
     return np.where(np.isfinite(found.joints_3d).all(axis=-1), result, np.nan)
 
 
+def usual_errors(table: Table, joints: Sequence[str]) -> Array:
+    """(J,) m, what half of the answers were expected to be better than where the table was fitted; NaN = not known."""
+    return np.array([np.median(table[name]["error_m"]) if name in table else np.nan for name in joints])
+
+
 def check(table: Any) -> Table:
     """A table as a file holds it. Raises ValueError, KeyError or TypeError for anything else."""
     for steps in table.values():

@@ -19,6 +19,10 @@ from cabinpose.core import Camera, ConfigError
 F32 = NDArray[np.float32]
 Joints = NDArray[np.float64]
 TICK_M = 1e-4  # of a kept depth
+# Share of a view that the camera fills below which it is doubted: the median error of `in_car` is 1.2 cm at 90 %, 2.3 cm at 17 %,
+# 4.6 cm at 11 %, 5.8 cm at 5 % and 9.7 cm at 3 %. ITOP's images cut to 100 x 100 pixels fill 13 %.
+LEAST_FILLED = 0.1
+LEAST_SHOWN = 0.1  # share of the camera's pixels that the view has; `room` has 17 % of an Azure Kinect's wide field, the widest
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,14 @@ class InputView:
     def filled(self, source: Camera) -> float:
         """The share of this view's pixels that the source camera sees."""
         return 1.0 - _nearest(self, source).outside.size / (self.width * self.height)
+
+    def shown(self, source: Camera) -> float:
+        """The share of the source camera's pixels that this view sees."""
+        return 1.0 - _nearest_back(self, source).outside.size / (source.width * source.height)
+
+    def doubts(self, source: Camera) -> tuple[str, ...]:
+        """What speaks against looking at a camera's images through this view, in words."""
+        return _doubts(self, source)
 
     def depth(self, depth_m: NDArray[np.floating], source: Camera) -> F32:
         """Depth images (..., H, W) in metres, NaN or 0 where invalid, as this view's, 0 where invalid or out of range."""
@@ -114,6 +126,26 @@ def _nearest(view: InputView, source: Camera) -> _Nearest:
         back = source.undistort((np.where(inside[..., None], uv, centre) - centre) / (source.fx, source.fy))
         inside &= np.linalg.norm(back - view.camera.rays, axis=-1) < 1e-3
     return _rounded(uv, inside, source)
+
+
+@lru_cache(maxsize=256)
+def _doubts(view: InputView, source: Camera) -> tuple[str, ...]:
+    own, theirs = (
+        " x ".join(f"{np.degrees(2 * np.arctan(n / (2 * f))):.0f}°" for n, f in ((c.width, c.fx), (c.height, c.fy)))
+        for c in (view.camera, source)
+    )
+    told = []
+    if (filled := view.filled(source)) < LEAST_FILLED:
+        told.append(
+            f"images of {theirs} fill {100 * filled:.2g} % of the {own} that the model looks at, and it has learnt from fuller"
+            " ones: joints will be far off. Take a wider lens, or train a model for this one"
+        )
+    if (shown := view.shown(source)) < LEAST_SHOWN:
+        told.append(
+            f"the model looks at {own} about the axis, {100 * shown:.2g} % of images of {theirs}, and sees nobody beside that."
+            " Take a narrower lens, or train a model for this one"
+        )
+    return tuple(told)
 
 
 @lru_cache(maxsize=32)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import POSE_ARRAYS, Camera, ConfigError, FrameBatch, PoseBatch, camera_doubts, joined
-from cabinpose.estimate.expected_error import expected_errors
+from cabinpose.estimate.alternatives import ALTERNATIVES, Alternatives
+from cabinpose.estimate.expected_error import expected_errors, usual_errors
 from cabinpose.estimate.found import Found, mirrored
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, image_in, slices, view_inputs
 from cabinpose.estimate.settings import PlacedSettings
@@ -21,6 +23,7 @@ from cabinpose.estimate.sight import unseen
 # median error of `in_car` is 2.5 cm in place of 1.0, at a hundredth 52, at ten times as much 1.4 and at a hundred times 3.3.
 _USUAL_LIGHT, _FAINTER, _BRIGHTER = 150.0, 7.0, 30.0
 _EVERY = 4  # pixels between those that are looked at: a sixteenth tells the median, and a whole image costs half a millisecond
+_MOST_CAMERAS = 16  # whose frames are tried turned and scaled
 _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 
 
@@ -33,6 +36,7 @@ class JointPredictor:
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
         self.trained_on = model.trained_on
         self._warned: set[str] = set()  # of what
+        self._alternatives: dict[Camera, Alternatives] = {}
         self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
 
     @property
@@ -52,15 +56,20 @@ class JointPredictor:
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
             poses = self.poses(self._found(seen, self._turned(frames, which, len(cameras))), cameras)
-            batches.append(self.believed(poses, frames, seen, cameras))
+            batches.append(self.believed(poses, frames, which, seen, cameras))
         return joined(batches)
 
     def believed(
-        self, poses: PoseBatch, frames: FrameBatch, seen: dict[str, NDArray[np.float32]], cameras: Sequence[Camera]
+        self,
+        poses: PoseBatch,
+        frames: FrameBatch,
+        which: slice,
+        seen: dict[str, NDArray[np.float32]],
+        cameras: Sequence[Camera],
     ) -> PoseBatch:
-        """The poses without those of frames in which nobody can be seen, which say why; the last of the stages.
+        """The poses of some frames without those in which nobody can be seen, which say why; the last of the stages.
 
-        Warns of the first of them.
+        Warns of the first of them, and of images that seem to be turned or scaled.
         """
         if not cameras or "depth" not in frames:
             return poses
@@ -71,12 +80,44 @@ class JointPredictor:
             self._warn_once("a covered lens", remark)
         for reason in reasons[:1]:
             self._warn_once("nobody", f"a frame in which {self.name} cannot see anybody: {reason}; it has no joints")
+        reason = np.array([why for why, _ in judged], object)
+        for name in POSE_ARRAYS if reasons else ():
+            getattr(poses, name)[reason != ""] = 0.0 if name in ("score", "presence") else np.nan
+        remarks += self._changes(poses, frames, which, cameras)
         if not reasons and not remarks:
             return poses
-        reason = np.array([why for why, _ in judged], object)
-        for name in POSE_ARRAYS:
-            getattr(poses, name)[reason != ""] = 0.0 if name in ("score", "presence") else np.nan
         return replace(poses, reason=reason, remarks=(*poses.remarks, *dict.fromkeys(remarks)))
+
+    def _changes(self, poses: PoseBatch, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> list[str]:
+        """What speaks for frames that are turned or scaled, of each camera once; warns of it."""
+        told = dict[str, None]()
+        for n, camera in enumerate(cameras):
+            if camera not in self._alternatives:
+                if len(self._alternatives) == _MOST_CAMERAS:
+                    continue
+                self._alternatives[camera] = Alternatives(self.name, usual_errors(self.model.expected_error, self.joints))
+            tried = self._alternatives[camera]
+            if tried.open:
+                ask = partial(self._changed, frames, which.start + n, camera)
+                tried.look(poses.presence[n : n + 1], poses.expected_error_m[n : n + 1], ask)
+            if tried.told:
+                told[tried.told] = None
+                self._warn_once(tried.told, tried.told)
+        return [*told]
+
+    def _changed(self, frames: FrameBatch, index: int, camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Presence and expected errors (A, P, J) of one frame's alternatives; presence 0 where nobody can be seen."""
+        view, images = self.config.view, {"depth", *self.config.inputs}
+        each, filled = [], []
+        for change in ALTERNATIVES:
+            turned = camera.turned(change.quarters)
+            each.append(view_inputs(change.undone(frames, index, images), slice(1), [turned], view, self.config.inputs))
+            filled.append(view.filled(turned))
+        seen = {name: np.concatenate([images[name] for images in each]) for name in each[0]}
+        found = self._found(seen, np.repeat(self._turned(frames, slice(index, index + 1), 1), len(ALTERNATIVES)))
+        blind = np.array([why != "" for why, _ in unseen(seen, filled)])
+        presence = np.where(blind[:, None, None], 0.0, found.presence)
+        return presence, expected_errors(self.model.expected_error, self.joints, found)
 
     def _warn_once(self, of: str, words: str) -> None:
         """Warn, the first time that there is anything of this kind to say."""
@@ -200,12 +241,19 @@ class JointPredictor:
         return seen
 
     def poses(self, found: Found, cameras: Sequence[Camera]) -> PoseBatch:
-        """The joints in the frames' own cameras, from those in the view; a stage of `predict`."""
+        """The joints in the frames' own cameras, from those in the view; a stage of `predict`.
+
+        Warns of the first camera whose field of view is another than the model's.
+        """
         view = self.config.view
         joints_2d = np.empty_like(found.uv)
         for n, camera in enumerate(cameras):
             joints_2d[n] = view.pixels(found.uv[n], camera)
         arrays = joints_2d, found.joints_3d, found.score, found.presence
         expected = expected_errors(self.model.expected_error, self.joints, found)
-        remarks = tuple(dict.fromkeys(doubt for camera in cameras for doubt in camera_doubts(camera)))
-        return PoseBatch(*(a.astype(np.float32) for a in arrays), expected_error_m=expected.astype(np.float32), remarks=remarks)
+        remarks = dict.fromkeys(doubt for camera in cameras for doubt in camera_doubts(camera))
+        for doubt in dict.fromkeys(doubt for camera in cameras for doubt in view.doubts(camera)):
+            self._warn_once("the field of view", f"{self.name}: {doubt}")
+            remarks[doubt] = None
+        floats = (a.astype(np.float32) for a in arrays)
+        return PoseBatch(*floats, expected_error_m=expected.astype(np.float32), remarks=tuple(remarks))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ class PartSegmenter:
     def __init__(self, model: TrainedModel) -> None:
         """model: of a method whose task is parts."""
         self.model, self.config, self.name, self.trained_on = model, model.config, model.name, model.trained_on
+        self._doubted = False
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -44,6 +46,10 @@ class PartSegmenter:
 
     def _segment(self, frames: FrameBatch, which: slice) -> NDArray[np.uint8]:
         cameras = cameras_of(frames, which)
+        doubts = [doubt for camera in dict.fromkeys(cameras) for doubt in self.config.view.doubts(camera)]
+        if doubts and not self._doubted:
+            self._doubted = True
+            warnings.warn(f"{self.name}: {doubts[0]}", stacklevel=3)
         classes: NDArray[np.uint8] = self.model.run(view_inputs(frames, which, cameras, self.config.view, self.config.inputs))
         result = np.zeros(frames["depth"][which].shape, np.uint8)
         for image, own, camera in zip(result, classes, cameras, strict=True):

@@ -10,6 +10,7 @@ from .regions import ServerRegions as ServerRegions
 from .tensors import INPUTS as INPUTS
 from .tensors import OUTPUTS as OUTPUTS
 from .tensors import PLATFORM as PLATFORM
+from .tensors import SENTENCES as SENTENCES
 from .tensors import VERSION as VERSION
 from .tensors import Arrays as Arrays
 from .tensors import TensorError as TensorError

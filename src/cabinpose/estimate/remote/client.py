@@ -15,7 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from tritonclient.grpc import service_pb2, service_pb2_grpc
 
-from cabinpose.core import IMAGES, ConfigError, FrameBatch, PoseBatch, RemoteError, joined, skeleton_with, unknown_name
+from cabinpose.core import (
+    IMAGES,
+    ConfigError,
+    FrameBatch,
+    PoseBatch,
+    RemoteError,
+    joined,
+    skeleton_with,
+    unknown_name,
+    without_numbers,
+)
 from cabinpose.estimate.onnx_model import cameras_of, image_in
 from cabinpose.estimate.remote.messages import add_tensors, read_tensors
 from cabinpose.estimate.remote.regions import EXTENSION, FrameRegion
@@ -25,6 +35,7 @@ from cabinpose.estimate.remote.tensors import (
     MOST,
     OUTPUTS,
     PLATFORM,
+    SENTENCES,
     USUAL,
     VERSION,
     Arrays,
@@ -39,7 +50,6 @@ _TOLD = 20  # frames without an answer that are told one by one
 _TEXT = 300  # characters of a server's own words
 _USUAL_SIZE = (287, 352)
 _RECONNECT_MS = 100
-_REASON = "reason"
 _AWAY = (grpc.StatusCode.DEADLINE_EXCEEDED, grpc.StatusCode.UNAVAILABLE)
 _KEYS = ("timeout_s", "on_error", "images", "persons", "joints", "shared_memory", "max_message_mb")
 
@@ -135,6 +145,7 @@ class RemotePredictor:
             self._address = replace(self._address, images=tuple(images))
         self.name = self._address.model
         self.failed = 0
+        self._remarked: set[str] = set()  # without their numbers
         self._label = f"grpc://{self._address.target}/{self.name}"
         most = int(self._address.max_message_mb * 2**20)
         self._channel = grpc.insecure_channel(
@@ -171,7 +182,12 @@ class RemotePredictor:
             `on_error=skip` such a frame has no joints instead.
         """
         count = len(image_in(frames))
-        return joined([empty_batch(0, len(self.persons), len(self.joints)), *(self._one(frames, i) for i in range(count))])
+        found = joined([empty_batch(0, len(self.persons), len(self.joints)), *(self._one(frames, i) for i in range(count))])
+        for remark in found.remarks:
+            if (kind := without_numbers(remark)) not in self._remarked:
+                self._remarked.add(kind)
+                warnings.warn(f"{self._label}: {remark}", stacklevel=2)
+        return found
 
     def close(self) -> None:
         """End the connection; harmless if there is none."""
@@ -240,8 +256,8 @@ class RemotePredictor:
                 self._fail(f"wants an input {tensor.name[:64]!r} that there is not", hint)
         self._choose([tensor.name for tensor in metadata.inputs])
         listed = {tensor.name for tensor in metadata.outputs}
-        # Who names no outputs is given all but the reason: programmes from before it know none.
-        self._asks = [spec.name for spec in OUTPUTS if spec.name in listed] if _REASON in listed else []
+        # Who names no outputs is given all but the sentences: programmes from before them know none.
+        self._asks = [spec.name for spec in OUTPUTS if spec.name in listed] if listed & {*SENTENCES} else []
         for tensor in metadata.inputs:
             if "H" in known[tensor.name].shape and len(tensor.shape) >= 3 and all(0 < n <= MOST["H"] for n in tensor.shape[1:3]):
                 return int(tensor.shape[1]), int(tensor.shape[2])

@@ -26,8 +26,8 @@ DTYPES: dict[str, np.dtype[Any]] = {
     "UINT8": np.dtype("u1"),
     "BYTES": np.dtype(object),
 }
-MOST = {"N": 64, "H": 8192, "W": 8192, "P": 64, "J": 256}  # greatest sizes, checked before any memory is asked for
-_LONGEST_NAME, _LONGEST_REASON = 64, 500
+MOST = {"N": 64, "H": 8192, "W": 8192, "P": 64, "J": 256, "R": 64}  # greatest sizes, checked before any memory is asked for
+_LONGEST_NAME, _LONGEST_SENTENCE = 64, 500
 
 
 class TensorError(ValueError):
@@ -70,7 +70,9 @@ OUTPUTS = (  # tensors that it may answer with
     TensorSpec("person_names", "BYTES", ("P",), "", False, "seats such as driver; left out: named in the address"),
     TensorSpec("joint_names", "BYTES", ("J",), "", False, "joints such as lhand; left out: named in the address"),
     TensorSpec("reason", "BYTES", ("N",), "", False, "why nobody can be seen, or empty; only to those who ask for it"),
+    TensorSpec("remarks", "BYTES", ("R",), "", False, "what stood out in the frames, or one empty; only to those who ask for it"),
 )
+SENTENCES = ("reason", "remarks")  # outputs for those who ask for them
 
 
 def bind_shape(spec: TensorSpec, datatype: str, shape: Sequence[int], sizes: dict[str, int]) -> None:
@@ -112,9 +114,9 @@ def names_of(spec: TensorSpec, texts: Sequence[bytes], shape: Sequence[int]) -> 
         raise TensorError(f"{spec.name} holds a text that is not UTF-8") from None
     if [len(names)] != list(shape):
         raise TensorError(f"{spec.name} {[int(n) for n in shape]} holds {len(names)} names")
-    if "N" in spec.shape:
-        if not all((not n or n.isprintable()) and len(n) <= _LONGEST_REASON for n in names):
-            raise TensorError(f"{spec.name} are not printable texts of up to {_LONGEST_REASON} letters")
+    if spec.name in SENTENCES:
+        if not all((not n or n.isprintable()) and len(n) <= _LONGEST_SENTENCE for n in names):
+            raise TensorError(f"{spec.name} are not printable texts of up to {_LONGEST_SENTENCE} letters")
         return np.array(names, object)
     if len(set(names)) < len(names) or not all(n.isprintable() and 0 < len(n) <= _LONGEST_NAME for n in names):
         raise TensorError(f"{spec.name} are not different, printable names of up to {_LONGEST_NAME} letters")
@@ -157,7 +159,8 @@ def pose_batch(answer: Arrays, persons: Sequence[str], joints: Sequence[str]) ->
     _refuse((expected < 0) | np.isinf(expected), "expected_error_m is not a distance", persons, joints)
     two, three = (positions.get(f"joints_{n}d", np.full((*shape, n), np.nan, np.float32)) for n in (2, 3))
     reason = answer.get("reason", np.full(shape[:1], "", object))
-    return PoseBatch(two, three, score, presence, expected_error_m=expected, reason=reason)
+    remarks = tuple(filter(None, answer.get("remarks", ())))
+    return PoseBatch(two, three, score, presence, expected_error_m=expected, reason=reason, remarks=remarks)
 
 
 def _refuse(wrong: NDArray[np.bool_], what: str, persons: Sequence[str], joints: Sequence[str]) -> None:
