@@ -16,7 +16,7 @@ DEMO := demo
 WERROR ?= OFF
 NATIVE := $(shell find src/native -name '*.cpp' -o -name '*.hpp')
 
-.PHONY: help demo test test-slow test-faults test-all test-native coverage lint format bench docs lock clean
+.PHONY: help demo test test-slow test-faults test-all test-native coverage lint format bench docs wheels cibuildwheel lock clean
 
 help:  ## what there is
 	@grep -hE '^[a-z-]+: .*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
@@ -75,11 +75,22 @@ docs: $(VENV)/.dev  ## build the site into out/site; run every command, example 
 	CABINPOSE_SITE=out/site $(BIN)/pytest -q -n $(WORKERS) tests/docs
 	@echo "python -m http.server -d out/site shows the site"
 
+wheels: $(VENV)/.dev  ## a release in dist: the source distribution, wheels for any Linux with glibc 2.28; then they are installed and tried
+	PATH="$$PATH:$(BIN)" tools/wheels.sh dist
+	CABINPOSE_WHEELS=dist $(BIN)/pytest -q tests/install
+
+cibuildwheel: $(BIN)/python  ## the same by cibuildwheel, in containers of the manylinux project: for machines that have Docker
+	$(BIN)/python -m pip install -q -r requirements-release.lock
+	$(BIN)/python -c "from scikit_build_core.build import build_sdist; build_sdist('dist')"
+	$(BIN)/cibuildwheel --output-dir dist dist/*.tar.gz
+
 lock: $(VENV)/.dev  ## pin the newest versions that pyproject.toml allows
 	$(BIN)/uv pip compile -q --universal --upgrade $(LOCK_FLAGS) pyproject.toml -o requirements.lock
 	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) --group build -o requirements-build.lock
 	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) --group compiler -o requirements-compiler.lock
+	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements-build.lock -c requirements-compiler.lock --group release -o requirements-release.lock
 	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements.lock --extra train pyproject.toml -o requirements-train.lock
+	grep -vE "^(nvidia|cuda|triton)" requirements-train.lock > requirements-train-cpu.lock
 	$(BIN)/uv pip compile -q --universal $(LOCK_FLAGS) -c requirements-train.lock --extra dev pyproject.toml -o requirements-dev.lock
 
 clean:  ## remove what the targets made, .venv included
@@ -99,7 +110,7 @@ $(VENV)/.native: requirements-build.lock pyproject.toml CMakeLists.txt $(NATIVE)
 	@tools/patiently.sh "installing what the kernels are built with into $(VENV)" tools/install.sh $(VENV) -r requirements-build.lock
 	@mkdir -p build
 	@defines=$$(tools/compiler.sh $(VENV)) && LOG=build/build.log tools/patiently.sh "building the kernels of cabinpose" \
-	  $(BIN)/python -m pip install -v --no-build-isolation --no-deps -C cmake.define.CABINPOSE_WERROR=$(WERROR) \
+	  $(BIN)/python -m pip install -v --no-build-isolation --no-deps -C cmake.define.CABINPOSE_WERROR=$(WERROR) -C cmake.define.CABINPOSE_KERNELS=all \
 	  $$(printf -- '-C cmake.define.%s ' $$defines) -e . || { grep -m5 -E "error|Error" build/build.log >&2; \
 	  echo "hint: all that the build said is in build/build.log; after a build that was interrupted, try make clean" >&2; exit 2; }
 	@touch $@

@@ -3,11 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cabinpose.app.api import evaluate_predictions, generate, load_model, open  # noqa: A004 - as in api.py
+    from cabinpose.app.api import evaluate_predictions, generate, load_model, open, sample  # noqa: A004 - as in api.py
 
     __version__: str
 
-__all__ = ["__version__", "evaluate_predictions", "generate", "load_model", "open"]
+__all__ = ["__version__", "evaluate_predictions", "generate", "load_model", "open", "sample"]
 
 
 def __getattr__(name: str) -> Any:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import make_sample
 import numpy as np
 import pytest
 
 import cabinpose
+from cabinpose.app.api import SAMPLE
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
 from cabinpose.estimate import JointPredictor
 from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.store import read_manifest
 from cabinpose.store.predictions import Predictions, write_predictions
 from cabinpose.synth import Frame
 from cabinpose.synth.config import SynthConfig
@@ -167,3 +172,25 @@ def test_what_cannot_be_evaluated_is_told(dataset: Path) -> None:
         cabinpose.evaluate_predictions(dataset, lambda frames: frames)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="unknown slot 'pilot'"):
         cabinpose.evaluate_predictions(dataset, "in_car", persons=["pilot"])
+
+
+def test_the_sample_is_small_and_as_its_script_makes_it() -> None:
+    taken = (cabinpose.sample().subject != "").sum("frame")
+    assert taken.to_series().to_dict() == {
+        "driver": 20, "front_passenger": 20, "rear_left": 0, "rear_center": 0, "rear_right": 0,
+    }  # fmt: skip
+    assert sum(path.stat().st_size for path in SAMPLE.rglob("*") if path.is_file()) <= 3_000_000
+    manifest = read_manifest(SAMPLE)
+    assert SynthConfig.parse(dict(manifest.config)) == make_sample.sample_config()
+    assert (manifest.seed, manifest.frames) == (make_sample.SEED, make_sample.FRAMES)
+
+
+def test_the_sample_has_a_name_on_the_command_line(
+    run: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless something here has that name."""
+    monkeypatch.chdir(tmp_path)
+    done = run("info", "sample", "--json")
+    assert json.loads(done.out)["frames"] == 20
+    Path("sample").mkdir()
+    assert "sample holds no dataset" in run("info", "sample").err

@@ -120,3 +120,27 @@ def test_no_kernel_of_the_avx2_build_fuses() -> None:
         "fma",
     }
     assert not libm & {line.split()[-1] for line in used.splitlines() if "*UND*" in line}
+
+
+ALONE = """
+import pathlib
+if {blind}:
+    pathlib.Path.read_text = lambda self, **_: "flags\\t\\t: fpu sse4_2 avx\\n"
+from cabinpose import _native
+print(_native.SIMD)
+"""
+
+
+@pytest.mark.skipif(native.SIMD != "avx2", reason="needs the AVX2 build")
+@pytest.mark.parametrize("wanted", ["", "avx2"])
+def test_a_build_for_one_machine_alone(tmp_path: Path, wanted: str) -> None:
+    """pip builds what the machine runs; another processor is refused in words, not by an illegal instruction."""
+    library = Path(str(native._build.__file__))
+    shutil.copy(library, tmp_path / library.name)
+    done = _run(ALONE.format(blind=False), CABINPOSE_SIMD=wanted, CABINPOSE_NATIVE=str(tmp_path))
+    assert done.stdout.strip() == "avx2", done.stderr
+    elsewhere = _run(ALONE.format(blind=True), CABINPOSE_SIMD=wanted, CABINPOSE_NATIVE=str(tmp_path))
+    assert "the compiled kernels of cabinpose cannot be loaded: " in elsewhere.stderr
+    assert "no _baseline in" in _refused(
+        "synth", *_SYNTH, str(tmp_path / "out"), CABINPOSE_SIMD="baseline", CABINPOSE_NATIVE=str(tmp_path)
+    )

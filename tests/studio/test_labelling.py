@@ -258,3 +258,12 @@ def test_second_studio_on_the_same_labels_is_told(dataset_folder: Path, labellin
     other = open_workspace(dataset_folder)
     with pytest.raises(DatasetError, match="open in another studio"):
         Labelling(other.dataset, other.labels, other.role)
+
+
+def test_labels_of_the_sample_lie_in_the_current_folder(dataset_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not in the package, which may be read-only."""
+    opened: list[Path | None] = []
+    monkeypatch.setattr("cabinpose.app.studio.serve.serve", lambda workspace, **_: opened.append(workspace.labels_path))
+    main(["studio", "sample"])
+    main(["studio", str(dataset_folder)])
+    assert opened == [Path("sample.labels.jsonl"), None]

@@ -1,8 +1,8 @@
 """The compiled kernels, one module a room: `from cabinpose._native import body`.
 
 Two builds of the same sources lie here: one for processors with AVX2, one for any. The first that runs is taken;
-`CABINPOSE_SIMD=baseline` or `avx2` names one. Results are the same bytes. `CABINPOSE_NATIVE` names a folder with other builds,
-for instance a sanitizer's.
+`CABINPOSE_SIMD=baseline` or `avx2` names one. Results are the same bytes. What pip built for this machine alone is one of them.
+`CABINPOSE_NATIVE` names a folder with other builds, for instance a sanitizer's.
 """
 
 from __future__ import annotations
@@ -31,27 +31,38 @@ def _import(build: str) -> ModuleType:
     raise ModuleNotFoundError(f"no {build} in {os.environ[_FOLDER]}", name=name)
 
 
+def _cpu_has_avx2() -> bool:
+    """What the kernel says of this processor, for installations without the baseline build, which would answer that."""
+    cpuinfo = Path("/proc/cpuinfo")
+    return cpuinfo.exists() and " avx2 " in cpuinfo.read_text(encoding="utf-8").replace("\n", " ")
+
+
 def _load() -> tuple[str, ModuleType]:
+    wanted = os.environ.get(_VARIABLE, "")
+    if wanted not in ("", *_BUILDS):
+        raise ImportError(
+            f"{_VARIABLE}={wanted}: no such build\nhint: use {' or '.join(_BUILDS)}, or leave it unset", name=__name__
+        )
     try:
-        baseline = _import("_baseline")
+        try:
+            baseline = _import("_baseline")
+        except ModuleNotFoundError:  # built for one machine alone, and it has AVX2
+            if wanted == "baseline" or not _cpu_has_avx2():
+                raise
+            return "avx2", _import("_avx2")
     except ImportError as error:
         raise ImportError(
             f"the compiled kernels of cabinpose cannot be loaded: {error}\n"
             "hint: install a wheel for this processor and Python, or build one: `pip install .` with a C++20 compiler",
             name=__name__,
         ) from error
-    wanted = os.environ.get(_VARIABLE, "")
-    if wanted not in ("", *_BUILDS):
-        raise ImportError(
-            f"{_VARIABLE}={wanted}: no such build\nhint: use {' or '.join(_BUILDS)}, or leave it unset", name=__name__
-        )
     if wanted == "baseline" or not (baseline.runs_here() or wanted):
         return "baseline", baseline
     if not baseline.runs_here():
         raise ImportError(f"{_VARIABLE}=avx2: this processor has no AVX2\nhint: leave {_VARIABLE} unset", name=__name__)
     try:
         return "avx2", _import("_avx2")
-    except ModuleNotFoundError:  # built for a processor of another family
+    except ModuleNotFoundError:  # built for a processor of another family, or for one without AVX2
         return "baseline", baseline
 
 

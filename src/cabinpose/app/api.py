@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from cabinpose.store.recording import Recording
     from cabinpose.synth import Frame, SynthConfig
 
+SAMPLE = Path(__file__).parent / "sample"  # the dataset of the package, made by tools/make_sample.py
+
 
 def load_model(model: str | Path, *, threads: int | None = None) -> JointPredictor:
     """A trained model that is called with plain arrays.
@@ -85,6 +87,20 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
         f"{place} is nothing that cabinpose writes" if place.exists() else f"{place} does not exist",
         hint="give the folder of a dataset, a recording (.mcap) or a predictions file (.jsonl, .parquet)",
     )
+
+
+def sample() -> xr.Dataset:
+    """The dataset that comes with the package, to try things on: 20 frames of a driver and a front passenger, 176 x 143 px.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `open` gives one. People in two cars that the packaged models were not trained on; on the command line it is called
+        `sample`: `cabinpose view sample --out my-view`.
+    """
+    from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray
+
+    return open_dataset(SAMPLE)
 
 
 def generate(

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Optional, TypeVar, Union
 from tyro.conf import Positional, arg, subcommand
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from cabinpose.app.api import SAMPLE
 from cabinpose.core import ConfigError, DatasetError, DriveSide, Visibility
 
 
@@ -28,8 +29,23 @@ def one_of(**commands: type) -> Any:
 # Optional[T] and not T | None: for the latter tyro imports typeguard, which takes as long as tyro itself.
 T = TypeVar("T")
 Maybe = Annotated[Optional[T], arg(help_behavior_hint="")]  # a flag without a value as default; its help states what happens
-ThingArgument = Annotated[Positional[Path], arg(metavar="DATASET|RECORDING")]
-DatasetArgument = Annotated[Positional[Path], arg(metavar="DATASET", help="Folder of the dataset.")]
+
+
+def _dataset(words: list[str]) -> Path:
+    """A path, or `sample`: the dataset of the package, where nothing here has that name."""
+    path = Path(words[0])
+    return SAMPLE if words[0] == "sample" and not path.exists() else path
+
+
+DatasetPath = Annotated[
+    Path,
+    PrimitiveConstructorSpec(
+        nargs=1, metavar="PATH", instance_from_str=_dataset, is_instance=lambda value: isinstance(value, Path),
+        str_from_instance=lambda path: [str(path)],
+    ),
+]  # fmt: skip
+ThingArgument = Annotated[Positional[DatasetPath], arg(metavar="DATASET|RECORDING")]
+DatasetArgument = Annotated[Positional[DatasetPath], arg(metavar="DATASET", help="Folder of the dataset, or `sample`.")]
 
 
 READS = ConstructorRegistry()  # how words of the command line become types of ours

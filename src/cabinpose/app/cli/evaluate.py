@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, metres, refuse_existing, renamed, several
+from cabinpose.app.cli.arguments import DatasetPath, Maybe, RunsModels, SelectsFrames, metres, refuse_existing, renamed, several
 from cabinpose.app.cli.frames import ReadsFrames, as_dataset
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress, tell_failed
 from cabinpose.app.finite import finite
@@ -41,7 +41,7 @@ class Evaluate(RunsModels, SelectsFrames, ReadsFrames):
     compared with the dataset's pixel classes: IoU by part and the confusion matrix.
     """
 
-    dataset: Annotated[Positional[Path | None], several("[DATASET]")] = None
+    dataset: Annotated[Positional[DatasetPath | None], several("[DATASET]")] = None
     """Folder of the dataset, or frames with labels that are none yet: a COCO folder with 16-bit images of depth."""
     itop_npz: Maybe[Path] = None
     """ITOP frames (.npz with depth01, joints_3d, frame) to score one --model on, in place of a dataset."""

@@ -15,12 +15,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson
+from cabinpose.app.cli.arguments import DatasetPath, Maybe, PrintsJson
 from cabinpose.app.cli.output import printable, progress
 from cabinpose.core import ConfigError
 
-FramesArgument = Annotated[Positional[Path], arg(metavar="DATASET|FRAMES", help=(
-    "Folder of a dataset, or frames that are none yet: depth images (PNG, TIFF, NPY; one or a folder), a recording (.mcap), "
+FramesArgument = Annotated[Positional[DatasetPath], arg(metavar="DATASET|FRAMES", help=(
+    "Folder of a dataset, or `sample`, or frames that are no dataset yet: depth images (PNG, TIFF, NPY; one or a folder), a recording (.mcap), "
     "a bag of ROS 2, a file of Azure Kinect's recorder (.mkv), a COCO folder."
 ))]  # fmt: skip
 _PLAYED = {".mkv": "azure-mkv", ".db3": "rosbag2"}  # files of cameras' and robots' recorders, by suffix

@@ -9,7 +9,8 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from cabinpose.app.cli.arguments import Maybe, several
+from cabinpose.app.api import SAMPLE
+from cabinpose.app.cli.arguments import DatasetPath, Maybe, several
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,12 +20,12 @@ class Studio:
     Serves on this machine alone, unless --host and --token say otherwise. Ctrl-C ends it.
     """
 
-    thing: Annotated[Positional[Path | None], several("[DATASET|RECORDING|SCENE.yaml]")] = None
+    thing: Annotated[Positional[DatasetPath | None], several("[DATASET|RECORDING|SCENE.yaml]")] = None
     """What to open: the folder of a dataset, a recording (.mcap) or a scene (.yaml)."""
     predictions: Annotated[tuple[Path, ...], several("FILE [FILE ...]")] = ()
     """Predictions files of the dataset to compare."""
     labels: Maybe[Path] = None
-    """Journal of the labels; default: DATASET.labels.jsonl beside the dataset."""
+    """Journal of the labels; default: DATASET.labels.jsonl beside the dataset, of `sample` in the current folder."""
     role: str = "annotator"
     """Who labels, as the journal shall say: annotator, reviewer, or any other word."""
     host: str = "127.0.0.1"
@@ -46,7 +47,10 @@ def run(command: Studio) -> None:
     from cabinpose.app.studio.serve import serve
     from cabinpose.app.studio.workspace import open_workspace
 
-    workspace = open_workspace(command.thing, labels=command.labels, role=command.role)
+    labels = command.labels
+    if labels is None and command.thing == SAMPLE:
+        labels = Path("sample.labels.jsonl")  # the package itself is not written to
+    workspace = open_workspace(command.thing, labels=labels, role=command.role)
     for path in command.predictions:
         workspace.add_predictions(path)
     serve(workspace, host=command.host, port=command.port, token=command.token, ready=_ready)

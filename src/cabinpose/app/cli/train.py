@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
+from cabinpose.app.cli.arguments import DatasetPath, Maybe, PrintsJson, several
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError, Registry
@@ -35,7 +35,7 @@ class Train(PrintsJson):
 
     out: Path
     """Folder of the run: best.ckpt, last.ckpt, log/metrics.csv, curves.png."""
-    datasets: Annotated[Positional[tuple[Path, ...]], several("[DATASET ...]")] = ()
+    datasets: Annotated[Positional[tuple[DatasetPath, ...]], several("[DATASET ...]")] = ()
     """Folders of the datasets to train on."""
     method: Annotated[Maybe[str], arg(help_behavior_hint=_methods)] = None
     """Method, if the configuration names none."""
