@@ -20,8 +20,8 @@ from cabinpose.app.cli.output import printable, progress
 from cabinpose.core import ConfigError
 
 FramesArgument = Annotated[Positional[DatasetPath], arg(metavar="DATASET|FRAMES", help=(
-    "Folder of a dataset, or `sample`, or frames that are no dataset yet: depth images (PNG, TIFF, NPY; one or a folder), a recording (.mcap), "
-    "a bag of ROS 2, a file of Azure Kinect's recorder (.mkv), a COCO folder."
+    "Folder of a dataset, or `sample`; frames that are no dataset yet: depth images (PNG, TIFF, NPY; one or a folder), a "
+    "recording (.mcap), a bag of ROS 2, a file of Azure Kinect's recorder (.mkv), a COCO folder."
 ))]  # fmt: skip
 _PLAYED = {".mkv": "azure-mkv", ".db3": "rosbag2"}  # files of cameras' and robots' recorders, by suffix
 
