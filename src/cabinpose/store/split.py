@@ -181,7 +181,7 @@ def held_out(dataset: xr.Dataset, share: float | None = None) -> HeldOut:
 def _apart(subject: NDArray[np.str_], who: Sequence[str]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(F,) the frames that show none of some people, and those that show nobody else; subject: (F, P)."""
     held, there = np.isin(subject, who), subject != ""
-    return ~held.any(axis=1), (held | ~there).all(axis=1) & there.any(axis=1)
+    return np.asarray(~held.any(axis=1)), np.asarray((held | ~there).all(axis=1) & there.any(axis=1))
 
 
 def _together(subject: NDArray[np.str_], people: Sequence[str]) -> Iterator[list[str]]:
@@ -194,7 +194,7 @@ def _together(subject: NDArray[np.str_], people: Sequence[str]) -> Iterator[list
         groups[np.isin(groups, seen)] = seen.min(initial=len(people))
     for group in np.unique(groups):
         if (groups == group).sum() > 1:
-            yield [people[i] for i in np.flatnonzero(groups == group)]
+            yield [people[i] for i in np.flatnonzero(groups == group).tolist()]
 
 
 def _cut(dataset: xr.Dataset, learnt: NDArray[np.bool_], judged: NDArray[np.bool_], by: str) -> HeldOut:
@@ -206,8 +206,8 @@ def _cut(dataset: xr.Dataset, learnt: NDArray[np.bool_], judged: NDArray[np.bool
             f"nobody can be held out, since everybody is seen beside everybody else: validated on {what} ({judged.sum()} frames)"
             " with people that are learnt from, so that figures are better than on people nobody has seen"
         )
-    sides = (dataset.isel(frame=np.flatnonzero(side)) for side in (learnt, judged))
-    return HeldOut(*sides, by, words)
+    first, second = (dataset.isel(frame=np.flatnonzero(side)) for side in (learnt, judged))
+    return HeldOut(first, second, by, words)
 
 
 def people_of(dataset: xr.Dataset) -> set[str]:
