@@ -98,7 +98,7 @@ def test_arrays_that_do_not_fit_are_told(change: Any, words: str, arrays: Arrays
 
 
 def test_a_filter_has_a_middle() -> None:
-    with pytest.raises(ConfigError, match="filter_cells: Value error, a filter has a cell in its middle"):
+    with pytest.raises(ConfigError, match="filter_cells: a filter has a cell in its middle"):
         METHODS["dpm"].settings({"filter_cells": 4})
 
 

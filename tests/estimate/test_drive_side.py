@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -32,6 +32,7 @@ class Drawing:
 
     name, config, drive_side, expected_error = "drawing", CONFIG, "", {}
     persons, joints, skeleton = CONFIG.slots, CONFIG.joints, "cabinpose"
+    trained_on: ClassVar[dict[str, str]] = {}
 
     def run(self, seen: dict[str, np.ndarray]) -> Found:
         maps = []

@@ -374,4 +374,4 @@ def test_nobody_to_measure_is_refused() -> None:
 def test_settings_that_make_no_sense_are_refused(values: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=next(iter(values))) as caught:
         METHODS["paf"].settings(values)
-    assert "slot_anchors" in caught.value.hint
+    assert caught.value.hint

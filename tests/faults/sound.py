@@ -332,7 +332,7 @@ def exported_weights(path: Path) -> None:
 
 def clip(path: Path) -> None:
     """The clip of a motion profile."""
-    read_clip(path, unit_m=1.0, up="y")
+    read_clip(path, unit_m=0.01, up="y")
 
 
 def played(kind: str) -> Read:

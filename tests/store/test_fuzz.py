@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from adtfdat_file import write_imu
 from mutations import Read, mutated, survive
-from mvnx_file import write_mvnx
+from mvnx_file import moving_person, write_mvnx
 from xdf_file import XdfStream, write_xdf
 
 from cabinpose.core.errors import RecordingError
@@ -32,8 +32,8 @@ def rows(*kinds: type, frames: int = 4) -> Iterator[tuple[int, int, Message]]:
     rng = np.random.default_rng(0)
     joints = tuple(name for name, _, _ in MVN_JOINTS)
     yield 0, 0, Facts("S01", {"frame_rate_hz": 100.0, "points": []})
-    for i in range(frames):
-        poses = SegmentPoses("S01", MVN_SEGMENTS, rng.normal(size=(23, 3)), np.tile([1.0, 0, 0, 0], (23, 1)))
+    for i, pose in enumerate(moving_person(frames, 100.0)):
+        poses = SegmentPoses("S01", MVN_SEGMENTS, *pose)
         sensors = SensorReadings(
             "S01", ("Pelvis",), np.array([[1.0, 0, 0, 0]]), np.ones((1, 3)), np.ones((1, 3)), np.ones((1, 3))
         )

@@ -109,7 +109,7 @@ class Flag:
     def of(cls, field: StructFieldSpec) -> Flag | None:
         """Of a field of a command; None for one whose values have fields of their own."""
         kind, *marks = get_args(field.type) if get_origin(field.type) is Annotated else (field.type,)
-        told = [mark for mark in marks if hasattr(mark, "metavar")]
+        told = [mark for mark in marks if hasattr(mark, "metavar") and hasattr(mark, "name")]
         named = next((mark.name for mark in told if mark.name), field.name).replace("_", "-")
         metavar = next((mark.metavar for mark in told if mark.metavar), named.upper())
         if get_origin(kind) in (Union, UnionType):
