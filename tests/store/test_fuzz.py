@@ -38,7 +38,7 @@ def rows(*kinds: type, frames: int = 4) -> Iterator[tuple[int, int, Message]]:
             "S01", ("Pelvis",), np.array([[1.0, 0, 0, 0]]), np.ones((1, 3)), np.ones((1, 3)), np.ones((1, 3))
         )
         angles = JointAngles("S01", joints, rng.normal(size=(len(joints), 3)))
-        points = Markers("S01", ("LASI", "RASI", "C7"), rng.normal(size=(3, 3)), np.full(3, 0.001))
+        points = Markers("S01", ("LASI", "RASI", "C7"), rng.normal(0, 0.002, (3, 3)) + np.eye(3), np.full(3, 0.001))
         for message in (poses, sensors, angles, points, Channels(("fx", "fz"), rng.normal(size=2))):
             if isinstance(message, kinds):
                 yield i * 10_000_000, i * 10_000_000, message

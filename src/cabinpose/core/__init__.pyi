@@ -110,6 +110,7 @@ from .whole import lock as lock
 from .whole import make_folder as make_folder
 from .whole import output_errors as output_errors
 from .whole import refuse_other_writer as refuse_other_writer
+from .whole import unwritable as unwritable
 from .whole import whole_file as whole_file
 from .whole import whole_folder as whole_folder
 from .whole import write_together as write_together

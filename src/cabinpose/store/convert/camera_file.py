@@ -22,6 +22,7 @@ _MATRICES = ("camera_matrix", "K", "k", "camera_k", "intrinsic_matrix", "Camera_
 _DISTORTIONS = ("distortion_coefficients", "dist_coeffs", "dist_coefs", "D", "d", "coeffs", "dist", "camera_dist", "D1")
 _WIDTHS, _HEIGHTS = ("image_width", "width"), ("image_height", "height")
 _WITHIN = ("camera", "intrinsics", "color", "depth")  # what the numbers may lie in
+_LARGEST = 1e9  # px; an integer of YAML may be beyond what a float holds
 _TAG = re.compile(r"!!opencv-matrix")
 _HINT = "a calibration of OpenCV, ROS, Open3D or RealSense, or fx, fy, cx, cy, width and height by name"
 
@@ -83,7 +84,7 @@ def _numbers(path: Path, value: Any, name: str) -> NDArray[np.float64]:
         value = value.get("data")
     try:
         return np.array(value, np.float64).ravel()
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ConfigError(f"{path}: {name} holds no numbers", hint=_HINT) from error
 
 
@@ -99,7 +100,7 @@ def _matrix(path: Path, found: Mapping[str, Any]) -> NDArray[np.float64]:
     values = []
     for names in (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy")):
         value = next((found[each] for each in names if each in found), None)
-        if not isinstance(value, int | float):
+        if not isinstance(value, int | float) or abs(value) > _LARGEST:
             raise ConfigError(f"{path} does not say {names[0]}", hint=_HINT)
         values.append(float(value))
     fx, fy, cx, cy = values

@@ -11,7 +11,7 @@ from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
-from cabinpose.core import RecordingError, whole_file
+from cabinpose.core import RecordingError, unwritable, whole_file
 from cabinpose.signals import Facts, Message, Sample, TakeCheck, TakenBody
 from cabinpose.store.convert.format import RecordingFormat, format_of, made_options
 from cabinpose.store.convert.rows import Entry, checked
@@ -76,11 +76,17 @@ def import_recording(
         if first is None:
             raise RecordingError(f"{path} holds nothing that is recorded", hint="give another file")
         chunking = Chunking(sync_s=0, flush_s=math.inf, definitions_s=math.inf)
-        with RecordingWriter(temporary, take, started_ns=max(first[1], 0), chunking=chunking) as writer:
-            samples: Counter[str] = Counter()
-            for source, sample in _samples(chain([first], entries)):
-                refused += writer.write(source, sample)
-                samples[source] += 1
+        samples: Counter[str] = Counter()
+        try:
+            with RecordingWriter(temporary, take, started_ns=max(first[1], 0), chunking=chunking) as writer:
+                for source, sample in _samples(chain([first], entries)):
+                    refused += writer.write(source, sample)
+                    samples[source] += 1
+        except RecordingError as error:
+            cause = error.__cause__
+            if isinstance(cause, OSError) and str(temporary) in str(error):  # the writer speaks of a recording that goes on
+                raise unwritable(out, cause, RecordingError) from cause
+            raise
     return Imported(out, dict(samples), len(refused), refused[-1] if refused else "", check.bodies())
 
 
