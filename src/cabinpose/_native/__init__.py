@@ -32,7 +32,7 @@ def _import(build: str) -> ModuleType:
 
 
 def _cpu_has_avx2() -> bool:
-    """What the kernel says of this processor, for installations without the baseline build, which would answer that."""
+    """What Linux says of this processor: where there is no baseline build to ask, or one by zig, which always denies it."""
     cpuinfo = Path("/proc/cpuinfo")
     return cpuinfo.exists() and " avx2 " in cpuinfo.read_text(encoding="utf-8").replace("\n", " ")
 
@@ -56,9 +56,10 @@ def _load() -> tuple[str, ModuleType]:
             "hint: install a wheel for this processor and Python, or build one: `pip install .` with a C++20 compiler",
             name=__name__,
         ) from error
-    if wanted == "baseline" or not (baseline.runs_here() or wanted):
+    runs = baseline.runs_here() or _cpu_has_avx2()
+    if wanted == "baseline" or not (runs or wanted):
         return "baseline", baseline
-    if not baseline.runs_here():
+    if not runs:
         raise ImportError(f"{_VARIABLE}=avx2: this processor has no AVX2\nhint: leave {_VARIABLE} unset", name=__name__)
     try:
         return "avx2", _import("_avx2")
