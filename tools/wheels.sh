@@ -36,5 +36,5 @@ for python in "${pythons[@]}"; do
         $(printf -- '-C cmake.define.%s ' $defines) "$out"/cabinpose-*.tar.gz
 done
 # It refuses a wheel whose kernels ask for a newer glibc, or for libraries that not every Linux has.
-PATH=$venv/bin:$PATH "$venv/bin/auditwheel" -q repair --plat "manylinux_${glibc/./_}_$machine" --only-plat -w "$out" "$work"/raw/*.whl
+PATH=$venv/bin:$PATH "$venv/bin/auditwheel" repair --plat "manylinux_${glibc/./_}_$machine" --only-plat -w "$out" "$work"/raw/*.whl
 ls -l "$out"
