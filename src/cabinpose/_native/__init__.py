@@ -33,8 +33,7 @@ def _import(build: str) -> ModuleType:
 
 def _cpu_has_avx2() -> bool:
     """What Linux says of this processor: where there is no baseline build to ask, or one by zig, which always denies it."""
-    cpuinfo = Path("/proc/cpuinfo")
-    return cpuinfo.exists() and " avx2 " in cpuinfo.read_text(encoding="utf-8").replace("\n", " ")
+    return (file := Path("/proc/cpuinfo")).exists() and "avx2" in file.read_text(encoding="utf-8").split()
 
 
 def _load() -> tuple[str, ModuleType]:
