@@ -19,9 +19,9 @@ from cabinpose.align.streams import camera_identity, equipment, naming
 from cabinpose.align.visibility import visibility
 from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
-from cabinpose.store import UNKNOWN, Manifest, Source, blank_frame
+from cabinpose.store import UNKNOWN, Manifest, Source, blank_frame, ticks_of_steps
 from cabinpose.store.convert import put_camera, put_person
-from cabinpose.store.recording import Recording, Take, depth_ticks, tof_frames
+from cabinpose.store.recording import Recording, Take, tof_frames
 
 POV = "tof"
 _ALL = np.arange(len(JOINTS))
@@ -271,7 +271,7 @@ def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manife
             _check_size(aligned.path, image, calibration)
             depth = image.depth_m()
             frame = blank_frame(manifest)
-            frame["depth"] = depth_ticks(image)
+            frame["depth"] = ticks_of_steps(image.depth, image.depth_unit_m)
             for name in FRAME_IMAGES:
                 if name in manifest.variables:
                     frame[name] = getattr(image, name)

@@ -81,6 +81,7 @@ from .segmentation import whole_person as whole_person
 from .skeleton import CABINPOSE as CABINPOSE
 from .skeleton import ITOP as ITOP
 from .skeleton import JOINTS as JOINTS
+from .skeleton import LIMBS_OVER_STATURE as LIMBS_OVER_STATURE
 from .skeleton import MVN_JOINTS as MVN_JOINTS
 from .skeleton import MVN_SEGMENTS as MVN_SEGMENTS
 from .skeleton import NTU_JOINTS as NTU_JOINTS

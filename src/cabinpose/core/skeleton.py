@@ -319,6 +319,13 @@ def _oks_sigma(joint: str) -> float:
     raise unknown_name("joint", joint, JOINTS)
 
 
+LIMBS_OVER_STATURE: Mapping[tuple[str, str], float] = MappingProxyType(
+    {("shoulder", "elbow"): 0.186, ("elbow", "wrist"): 0.146, ("hip", "knee"): 0.245, ("knee", "ankle"): 0.246}
+)
+"""Lengths of limbs between joints, by their words in anatomy, over the stature (Winter, Biomechanics and Motor Control of Human
+Movement, 4th ed. 2009, figure 4.1, after Drillis and Contini)."""
+
+
 def _limb_names(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     return tuple((parent, child) for child, parent in skeleton.parent.items())
 

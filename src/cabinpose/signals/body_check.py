@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from cabinpose.core import CMU_UNIT_M, LENGTHS_M, MVN_JOINTS, units_that_fit
+from cabinpose.core import CMU_UNIT_M, LENGTHS_M, LIMBS_OVER_STATURE, MVN_JOINTS, units_that_fit
 from cabinpose.signals.recorded import F64
 from cabinpose.signals.rotations import conjugate, product
 
@@ -36,8 +36,6 @@ LIMITS: Mapping[str, tuple[float, float, str]] = MappingProxyType({
     "missing": (0.0, 0.02, "a frame that was lost here and there hides nothing"),
 })  # fmt: skip
 
-# Lengths of limbs over the stature: Winter, Biomechanics and Motor Control of Human Movement, 4th ed. 2009, figure 4.1.
-_LIMBS: Final = {("hip", "knee"): 0.245, ("knee", "ankle"): 0.246, ("shoulder", "elbow"): 0.186, ("elbow", "wrist"): 0.146}
 # What joints, or the segments that begin there, are called without their side; of two that are there the first.
 _JOINTS: Final = {
     "hip": ("upleg", "upperleg", "thigh", "femur", "hip"),
@@ -381,7 +379,7 @@ def _stature(names: Sequence[str], position: F64) -> float:
     found = {(side, joint): column for side in "lr" for joint, column in _joints_of(names, side)}
     statures: dict[tuple[str, str], list[float]] = {}
     for side in "lr":
-        for limb, share in _LIMBS.items():
+        for limb, share in LIMBS_OVER_STATURE.items():
             ends = [found.get((side, joint)) for joint in limb]
             if None not in ends:
                 length = _median(np.linalg.norm(position[:, ends[0]] - position[:, ends[1]], axis=1))

@@ -47,6 +47,7 @@ from .schema import dataset_id as dataset_id
 from .schema import joint_dimension as joint_dimension
 from .schema import joints_variable as joints_variable
 from .schema import read_manifest as read_manifest
+from .shard import ticks_of_steps as ticks_of_steps
 from .source import UNKNOWN as UNKNOWN
 from .source import Source as Source
 from .source import blank_frame as blank_frame

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cabinpose.core import (
     CABINPOSE,
     ITOP,
+    LIMBS_OVER_STATURE,
     OCCUPANT_SLOTS,
     OTHER_SKELETONS,
     Bools,
@@ -55,9 +56,9 @@ LIMITS: Mapping[str, tuple[float, str]] = MappingProxyType({
     "along": (2.0, "z and depth run along the optical axis, not along the ray; the opposite never fits better"),
 })  # fmt: skip
 
-# Lengths over stature (Winter, Biomechanics and Motor Control of Human Movement, after Drillis and Contini).
-_BONES = {("shoulder", "elbow"): 0.186, ("elbow", "wrist"): 0.146, ("pelvis", "knee"): 0.245, ("knee", "ankle"): 0.246}
-_TRUNK: Final = 0.288  # hips to shoulders
+# Lengths over stature by our joints: a hip is `lpelvis` or `rpelvis`.
+_BONES = {("pelvis" if a == "hip" else a, b): share for (a, b), share in LIMBS_OVER_STATURE.items()}
+_TRUNK: Final = 0.288  # hips to shoulders; of Winter's figure as well
 _FEWEST: Final = 4  # of a person's nine lengths, by which the stature is told
 
 # Joints of other sets by ours, near enough for lengths and sides: ITOP's hands and feet end where forearms and shins do.

@@ -112,6 +112,14 @@ def depth_ticks(depth_m: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
     return ticks.astype(np.uint16)
 
 
+def ticks_of_steps(steps: NDArray[Any], step_m: float) -> NDArray[np.uint16]:
+    """Depths in steps of so many metres, 0 = invalid, as ticks of 0.1 mm; 0 what lies beyond them."""
+    if step_m == DEPTH_SCALE_M and steps.dtype == np.uint16:
+        return steps
+    ticks = np.rint(steps * (step_m / DEPTH_SCALE_M))
+    return np.where(ticks <= np.iinfo(np.uint16).max, ticks, 0).astype(np.uint16)
+
+
 class ShardWriter:
     """Streams the frames of one image variable into its shards, one frame a chunk."""
 

@@ -35,7 +35,7 @@ from cabinpose.scene import furnish_room
 from cabinpose.scene.body import Person
 from cabinpose.scene.sensor import Sensor
 from cabinpose.signals import Message, Sample, SegmentPoses
-from cabinpose.store.recording import Participant, Take
+from cabinpose.store.recording import Participant, Take, whole_recording
 
 F64 = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -242,7 +242,7 @@ def _write(
         streams["tof"] = _tof(rig, camera, people, rate_hz, seconds, truths, rng=rng)
     car = "" if room else people[0][0].stage.car
     subjects = tuple(Participant(code=actor.code, seat=None if room else moves.slot) for actor, moves in people)
-    with whole_file(path) as partial:
+    with whole_recording(path) as partial:
         write_recording(partial, rig, Take(action=played.action, car=car, subjects=subjects), streams)
     result = []
     for (actor, moves), values in zip(people, truths, strict=True):

@@ -29,12 +29,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import CABINPOSE, Camera, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, LENGTHS_M, Camera, DatasetError, Visibility
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, Keypoints, LabelFormat, NoOptions
 from cabinpose.store.convert.pictures import PICTURES, check_kind, pictured
 from cabinpose.store.convert.reading import (
     Origin,
-    depth_ticks_of_mm,
     given_camera,
     json_elements,
     make_manifest,
@@ -44,6 +43,7 @@ from cabinpose.store.convert.reading import (
 )
 from cabinpose.store.frames import PersonInFrame, dataset_skeleton, file_stem, people, require_variables
 from cabinpose.store.schema import Manifest
+from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import UNKNOWN, Report, Source, blank_frame
 
 if TYPE_CHECKING:
@@ -478,7 +478,7 @@ def _pixels(folder: Path, image: Mapping[str, Any], kind: str) -> NDArray[Any]:
     if (pixels.dtype == np.uint16) != (kind == "depth") or (kind == "depth" and pixels.ndim != 2):
         raise DatasetError(f"{image['file_name']} is no image of {kind}, as the first one is", hint="import them apart")
     if kind == "depth":
-        return depth_ticks_of_mm(pixels)
+        return ticks_of_steps(pixels, LENGTHS_M["mm"])
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=-1)
 
 

@@ -8,7 +8,7 @@ of the names, in which numbers count as numbers. Nobody is labelled.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,14 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import Camera, ConfigError, DatasetError
+from cabinpose.core import LENGTHS_M, Camera, ConfigError, DatasetError, units_that_fit
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions
 from cabinpose.store.convert.reading import Origin, given_camera, make_manifest, put_camera, read_image
-from cabinpose.store.schema import DEPTH_SCALE_M, Manifest
+from cabinpose.store.schema import Manifest
+from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import Source, blank_frame
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_UNITS = ("m", "cm", "mm")  # that --unit knows by name
 _AMPLITUDES = ("amplitude", "ir", "infrared", "IR")  # folders beside `depth`
 _USUAL_M = (0.2, 10.0)  # median depth of what cameras look at, in cars and in rooms
 _LOOKED_AT = 8  # images that tell the unit
@@ -50,11 +51,11 @@ class DepthImageOptions(ImportOptions):
 def _step_m(unit: str) -> float:
     """The metres of one step of a unit. Raises ConfigError for what is neither a unit nor a length."""
     try:
-        step = UNITS_M[unit] if unit in UNITS_M else float(unit)
+        step = LENGTHS_M[unit] if unit in _UNITS else float(unit)
     except ValueError:
         step = 0.0
     if not 1e-6 <= step <= 1.0:
-        raise ConfigError(f"no unit of depth: {unit}", hint=f"give {', '.join(UNITS_M)}, or the metres of one step")
+        raise ConfigError(f"no unit of depth: {unit}", hint=f"give {', '.join(_UNITS)}, or the metres of one step")
     return step
 
 
@@ -179,13 +180,13 @@ def _recognised(path: Path, images: Sequence[_Image]) -> tuple[float, str]:
         raise DatasetError(f"{path}: no pixel of the images has a depth", hint="are they depth images? 0 and NaN are invalid")
     median = float(np.median(values))
     # Steps of integers are not metres, and cameras deliver no centimetres
-    unit = next((u for u in ("m", "mm") if _USUAL_M[0] <= median * UNITS_M[u] <= _USUAL_M[1]), None)
+    unit = next(iter(units_that_fit(median, _USUAL_M, ("m", "mm"))), None)
     if unit is None or (unit == "m" and values.dtype.kind in "ui"):
         raise DatasetError(
             f"{path}: the unit of the depth cannot be told from its size: the median is {median:.4g}",
             hint="give --unit m, cm, mm, or the metres of one step, such as 0.00025",
         )
-    return UNITS_M[unit], f"the depth is taken to be in {unit}: its median is {median:.4g} (--unit says otherwise)"
+    return LENGTHS_M[unit], f"the depth is taken to be in {unit}: its median is {median:.4g} (--unit says otherwise)"
 
 
 def _frames(
@@ -193,10 +194,10 @@ def _frames(
 ) -> Iterator[dict[str, Any]]:
     """The frames, one image in memory at a time."""
     shape = (manifest.height, manifest.width)
-    depths: Callable[[NDArray[Any]], NDArray[np.uint16]] = partial(_ticks, step=step)
     for number, image in enumerate(images):
         frame = blank_frame(manifest)
-        frame["depth"] = depths(_of_size(image, shape))
+        pixels = _of_size(image, shape)
+        frame["depth"] = ticks_of_steps(np.where(_valid(pixels), pixels, 0), step)
         if amplitudes:
             frame["amplitude"] = _amplitude(_of_size(amplitudes[number], shape))
         frame["sequence"] = 0
@@ -210,12 +211,6 @@ def _of_size(image: _Image, shape: tuple[int, int]) -> NDArray[Any]:
         wrong = f"{image.path} has {pixels.shape[1]}x{pixels.shape[0]} pixels, not {shape[1]}x{shape[0]}"
         raise DatasetError(wrong, hint="all images of a source have one size")
     return pixels
-
-
-def _ticks(pixels: NDArray[Any], step: float) -> NDArray[np.uint16]:
-    """The depth in the steps of a dataset, 0 = invalid; what lies beyond them is invalid."""
-    ticks = np.rint(np.where(_valid(pixels), pixels, 0) * (step / DEPTH_SCALE_M))
-    return np.where(ticks <= np.iinfo(np.uint16).max, ticks, 0).astype(np.uint16)
 
 
 def _amplitude(pixels: NDArray[Any]) -> NDArray[np.uint16]:

@@ -28,13 +28,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import CABINPOSE, NTU_JOINTS, Camera, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, LENGTHS_M, NTU_JOINTS, Camera, DatasetError, Visibility
 from cabinpose.store.convert.format import DatasetFormat, NoOptions
 from cabinpose.store.convert.reading import (
     Origin,
     SequenceOptions,
     check_projection,
-    depth_ticks_of_mm,
     given_camera,
     make_manifest,
     put_camera,
@@ -43,6 +42,7 @@ from cabinpose.store.convert.reading import (
 )  # fmt: skip
 from cabinpose.store.frames import PersonInFrame, frames, people
 from cabinpose.store.schema import Manifest
+from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import Report, Source, blank_frame
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def _maps(files: list[Path], folder: Path | None) -> list[Path]:
 def _depth_map(start: Path, index: int) -> NDArray[np.uint16]:
     """Ticks of depth (424, 512) of a clip's frame, in the unmirrored image."""
     path = start.with_name(f"{start.name}-{index + 1:08d}.png")
-    return depth_ticks_of_mm(read_grey(path, np.uint16, (KINECT_V2.width, KINECT_V2.height))[:, ::-1])
+    return ticks_of_steps(read_grey(path, np.uint16, (KINECT_V2.width, KINECT_V2.height))[:, ::-1], LENGTHS_M["mm"])
 
 
 class _Lines:

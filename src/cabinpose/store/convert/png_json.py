@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import DatasetError, Visibility
+from cabinpose.core import LENGTHS_M, DatasetError, Visibility
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptions
 from cabinpose.store.convert.reading import (
     Origin,
-    depth_ticks_of_mm,
     given_camera,
     make_manifest,
     put_camera,
@@ -28,6 +27,7 @@ from cabinpose.store.convert.reading import (
 )
 from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
 from cabinpose.store.schema import VARIABLE, Manifest
+from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import Report, Source, blank_frame
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ class _Folder:
         expected = np.dtype(VARIABLE[name].dtype)
         if image.dtype != expected or (image.ndim == 3) != (name == "rgb"):
             raise DatasetError(f"{file} is {image.dtype} in {image.ndim} dimensions, {name} is {expected}", hint=_DAMAGED)
-        return depth_ticks_of_mm(image) if name.startswith("depth") else image
+        return ticks_of_steps(image, LENGTHS_M["mm"]) if name.startswith("depth") else image
 
 
 def _classes(image: NDArray[Any], ids: dict[int, int], file: Path) -> NDArray[np.uint8]:

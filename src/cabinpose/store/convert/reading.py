@@ -275,9 +275,3 @@ def _check_depth(path: Path, file: BinaryIO, hint: str) -> None:
         if depth + int(depths.max()) > _DEEPEST:
             raise DatasetError(f"{path} is nested too deep", hint=hint)
         depth += int(depths[-1])
-
-
-def depth_ticks_of_mm(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Whole millimetres (0 = invalid) to the ticks of 0.1 mm that a dataset stores; what lies beyond them is invalid."""
-    ticks = depth_mm.astype(np.uint32) * 10
-    return np.where(ticks < 65536, ticks, 0).astype(np.uint16)

@@ -12,8 +12,9 @@ from cabinpose.core import OCCUPANT_SLOTS, STANDING_SLOT, ConfigError, DatasetEr
 from cabinpose.signals import FRAME_IMAGES
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions
 from cabinpose.store.convert.reading import Origin, given_camera, make_manifest, put_camera
-from cabinpose.store.recording import Recording, Take, depth_ticks, tof_frames
+from cabinpose.store.recording import Recording, Take, tof_frames
 from cabinpose.store.schema import Manifest
+from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 
@@ -85,7 +86,7 @@ def _frames(path: Path, name: str, take: Take, manifest: Manifest, options: Reco
                 wrong = f"{path}: a frame has {image.depth.shape[1]}x{image.depth.shape[0]} pixels, not {size[0]}x{size[1]}"
                 raise DatasetError(wrong, hint="the camera changed its mode; a dataset has one size")
             frame = blank_frame(manifest)
-            frame["depth"] = depth_ticks(image)
+            frame["depth"] = ticks_of_steps(image.depth, image.depth_unit_m)
             for each in FRAME_IMAGES:
                 if each in manifest.variables:
                     frame[each] = getattr(image, each)

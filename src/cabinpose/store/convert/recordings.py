@@ -11,11 +11,11 @@ from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
-from cabinpose.core import RecordingError, unwritable, whole_file
+from cabinpose.core import RecordingError
 from cabinpose.signals import Facts, Message, Sample, TakeCheck, TakenBody
 from cabinpose.store.convert.format import RecordingFormat, format_of, made_options
 from cabinpose.store.convert.rows import Entry, checked
-from cabinpose.store.recording import Chunking, Recording, RecordingWriter, Take
+from cabinpose.store.recording import Chunking, Recording, RecordingWriter, Take, whole_recording
 
 _NO_NAME = re.compile(r"[^a-z0-9_-]+")
 _NAME_LENGTH = 32
@@ -70,23 +70,17 @@ def import_recording(
         raise RecordingError(f"{out} exists", hint="--overwrite replaces it, or give another file with --out")
     refused: list[str] = []
     check = TakeCheck()
-    with whole_file(out, kind=RecordingError) as temporary:
+    with whole_recording(out) as temporary:
         entries = checked(path, _named(found), check)
         first = next(entries, None)
         if first is None:
             raise RecordingError(f"{path} holds nothing that is recorded", hint="give another file")
         chunking = Chunking(sync_s=0, flush_s=math.inf, definitions_s=math.inf)
         samples: Counter[str] = Counter()
-        try:
-            with RecordingWriter(temporary, take, started_ns=max(first[1], 0), chunking=chunking) as writer:
-                for source, sample in _samples(chain([first], entries)):
-                    refused += writer.write(source, sample)
-                    samples[source] += 1
-        except RecordingError as error:
-            cause = error.__cause__
-            if isinstance(cause, OSError) and str(temporary) in str(error):  # the writer speaks of a recording that goes on
-                raise unwritable(out, cause, RecordingError) from cause
-            raise
+        with RecordingWriter(temporary, take, started_ns=max(first[1], 0), chunking=chunking) as writer:
+            for source, sample in _samples(chain([first], entries)):
+                refused += writer.write(source, sample)
+                samples[source] += 1
     return Imported(out, dict(samples), len(refused), refused[-1] if refused else "", check.bodies())
 
 

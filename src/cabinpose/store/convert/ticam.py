@@ -23,12 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import Camera, DatasetError
+from cabinpose.core import LENGTHS_M, Camera, DatasetError
 from cabinpose.store.convert.format import DatasetFormat
 from cabinpose.store.convert.reading import (
     Origin,
     SequenceOptions,
-    depth_ticks_of_mm,
     given_camera,
     make_manifest,
     put_camera,
@@ -37,6 +36,7 @@ from cabinpose.store.convert.reading import (
     warn_of_boxes,
 )
 from cabinpose.store.schema import LabelRow, Manifest
+from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import UNKNOWN, Source, blank_frame
 
 FIELD_DEG = 105.0  # of the undistorted images, across and down (Katrolia et al. 2021, section 3)
@@ -254,7 +254,7 @@ def _activities(path: Path) -> list[_Activity]:
 
 def _put_images(frame: dict[str, Any], sequence: _Sequence, index: int, size: tuple[int, int]) -> None:
     depth_mm = read_grey(sequence.depth[index], np.uint16, size)
-    frame["depth"] = depth_ticks_of_mm(np.where(depth_mm < CLIPPED_MM, depth_mm, 0).astype(np.uint16))
+    frame["depth"] = ticks_of_steps(np.where(depth_mm < CLIPPED_MM, depth_mm, 0).astype(np.uint16), LENGTHS_M["mm"])
     if sequence.infrared:
         frame["amplitude"] = read_grey(sequence.infrared[index], np.uint16, size)
     if sequence.masks:

@@ -14,7 +14,6 @@ from .scan import Damage as Damage
 from .schemas import SourceStatus as SourceStatus
 from .series import MarkerSeries as MarkerSeries
 from .series import SegmentSeries as SegmentSeries
-from .series import depth_ticks as depth_ticks
 from .series import marker_series as marker_series
 from .series import segment_series as segment_series
 from .series import tof_frames as tof_frames
@@ -26,3 +25,4 @@ from .take import Participant as Participant
 from .take import Take as Take
 from .writer import Chunking as Chunking
 from .writer import RecordingWriter as RecordingWriter
+from .writer import whole_recording as whole_recording

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from cabinpose.core import RecordingError
 from cabinpose.signals import ARRAYS, F64, Markers, Sample, SegmentPoses, ToFFrame
 from cabinpose.store.recording.reader import Recording
-from cabinpose.store.schema import DEPTH_SCALE_M
 
 Times = NDArray[np.int64]
 M = TypeVar("M", SegmentPoses, Markers)
@@ -104,14 +103,6 @@ def tof_frames(recording: Recording, source: str) -> Iterator[tuple[Sample, ToFF
         for message in sample.messages:
             if isinstance(message, ToFFrame):
                 yield sample, message
-
-
-def depth_ticks(image: ToFFrame) -> NDArray[np.uint16]:
-    """The depth of a frame in the steps of a dataset, 0 = invalid; what lies beyond them is invalid."""
-    if image.depth_unit_m == DEPTH_SCALE_M:
-        return image.depth
-    ticks = np.rint(image.depth * (image.depth_unit_m / DEPTH_SCALE_M))
-    return np.where(ticks <= np.iinfo(np.uint16).max, ticks, 0).astype(np.uint16)
 
 
 def _rows(recording: Recording, source: str, subject: str | None, kind: type[M]) -> list[tuple[Sample, M]]:

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Any
 
 from cabinpose import __version__
-from cabinpose.core import FULL_DISK, RecordingError
+from cabinpose.core import FULL_DISK, RecordingError, unwritable, whole_file
 from cabinpose.signals import Sample
 from cabinpose.store.part import sync
 from cabinpose.store.recording.container import DEFINITIONS_S, Compression, ContainerWriter
@@ -43,6 +43,22 @@ from cabinpose.store.recording.take import Take
 LIBRARY = f"cabinpose {__version__}"
 PROFILE = "cabinpose"
 _About = tuple[tuple[str, str], ...]
+
+
+@contextmanager
+def whole_recording(path: Path) -> Iterator[Path]:
+    """The name of a recording to write, which is called `path` when the block ends without an error, else is removed.
+
+    Raises RecordingError where the disk refuses: in words of an output, since a writer's are of a recording that goes on.
+    """
+    with whole_file(path, kind=RecordingError) as partial:
+        try:
+            yield partial
+        except RecordingError as error:
+            cause = error.__cause__
+            if isinstance(cause, OSError) and str(partial) in str(error):
+                raise unwritable(path, cause, RecordingError) from cause
+            raise
 
 
 @contextmanager
