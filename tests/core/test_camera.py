@@ -210,6 +210,24 @@ def test_where_a_polynomial_folds_is_its_derivatives_first_root() -> None:
             assert lens.monotonic_radius == pytest.approx(np.sqrt(folds.min()) if len(folds) else np.inf, rel=1e-7)
 
 
+@pytest.mark.parametrize(("k1", "k2"), [(-0.3, 0.02), (-0.25, 0.0), (-0.35, 0.02)])
+def test_points_beyond_the_fold_are_not_in_the_image(k1: float, k2: float) -> None:
+    """The radius grows until 1 + 3 k1 r^2 + 5 k2 r^4 = 0; from there OpenCV brings points back into the image."""
+    squared = (-3 * k1 - np.sqrt(9 * k1**2 - 20 * k2)) / (10 * k2) if k2 else -1 / (3 * k1)
+    fold = np.degrees(np.arctan(np.sqrt(squared)))
+    lens = Camera(320, 240, 200.0, 200.0, 159.5, 119.5, (k1, k2, 0.0, 0.0, 0.0))
+    angles = np.append(np.arange(1, 90), (fold - 1e-4, fold + 1e-4))
+    away, around = np.meshgrid(np.radians(angles), np.radians(np.arange(0, 360, 15)))
+    points = np.stack([np.sin(away) * np.cos(around), np.sin(away) * np.sin(around), np.cos(away)], axis=-1).reshape(-1, 3)
+    theirs = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.k, np.array(lens.dist))[0][:, 0]
+    before = (away < np.radians(fold)).ravel()
+    assert lens.contains(theirs[~before]).sum() > 100
+    np.testing.assert_allclose(lens.project(points)[before], theirs[before], atol=1e-9)
+    assert np.isnan(lens.project(points)[~before]).all()
+    assert np.isnan(lens.project(points[~before][0])).all()
+    np.testing.assert_allclose(lens.project(points, folded=True), theirs, rtol=1e-9)
+
+
 def test_a_lens_is_looked_at_wherever_one_is_given() -> None:
     """Sensors, calibrations, rigs and imports."""
     bent = (1e6, 0.0, 0.0, 0.0, 0.0)

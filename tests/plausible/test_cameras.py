@@ -33,7 +33,7 @@ from cabinpose.core import (
     forget_told_cameras,
 )
 from cabinpose.estimate import JointPredictor
-from cabinpose.scene.sensor import SENSORS
+from cabinpose.scene.sensor import SENSORS, Sensor
 from cabinpose.store import Manifest, PartWriter, Source, create_dataset, import_source, open_dataset
 from cabinpose.store.convert.ntu import KINECT_V2
 
@@ -172,6 +172,34 @@ def test_cut_outs_are_refused_nowhere() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             check_camera(Camera(64, 48, 174.0, 174.0, 175.5 - left, 143.0 - top), "a cut-out")
+
+
+FOLDING = (-0.18, 0.0, 0.0, 0.0, 0.0)  # 158 px from the principal point: beyond the nearest border, before the corners
+
+
+def test_a_sensor_whose_lens_folds_within_its_image_is_told() -> None:
+    own = SENSORS["pico_monstar_105"]
+    camera = replace(own.camera, dist=FOLDING)
+    with pytest.warns(UserWarning, match=r"sensor 'own': .* folds 158 px .*, 53.7° off the axis, and \d+ %") as told:
+        Sensor(**dict(own) | {"name": "own", "camera": camera, "field_radius_px": None})
+    assert len(told) == 1
+    forget_told_cameras()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Sensor(**dict(own) | {"name": "own", "camera": camera, "field_radius_px": 157.0})
+        Sensor(**dict(own) | {"name": "own", "field_radius_px": None})
+
+
+def test_depths_where_the_lens_sees_nothing_are_told(model: JointPredictor, frame: dict[str, Any]) -> None:
+    lens = camera_from(frame["camera_k"], FOLDING, *SIZE)
+    circle = np.where(np.isfinite(lens.rays[..., 0]), frame["depth"], np.nan)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*the lens sees nothing")
+        assert model(circle, lens.k, frame["amplitude"], camera_dist=lens.dist).remarks == ()
+        assert model(frame["depth"], lens.k, frame["amplitude"], camera_dist=frame["camera_dist"]).remarks == ()
+    with pytest.warns(UserWarning, match=r"\d+ % of the depths lie where the lens sees nothing: .* folds 158 px"):
+        found = model(frame["depth"], lens.k, frame["amplitude"], camera_dist=lens.dist)
+    assert "fit dist to the whole image" in found.remarks[0].lower()
 
 
 WRONG_MATRICES: dict[str, Callable[[F64], F64]] = {

@@ -129,6 +129,11 @@ def z_along_the_ray(data: xr.Dataset) -> None:
     data["joints_3d"].values[..., 2] = np.linalg.norm(data["joints_3d"].values, axis=-1)
 
 
+def fold(data: xr.Dataset) -> None:
+    """A lens that sees nothing in the corners, where there is depth."""
+    data["camera_dist"].values[...] = (-0.2, 0.0, 0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -158,11 +163,13 @@ def z_along_the_ray(data: xr.Dataset) -> None:
         (scale("depth_clean", 0.1), "behind the surface in depth_clean: it is 0.0"),
         (depth_along_the_ray, "if depth_clean is the distance from the lens"),
         (z_along_the_ray, "if z of joints_3d is the distance from the lens"),
+        (fold, "of the depths lie where the lens sees nothing: distortion -0.2 0 0 0 0 folds"),
     ],
     ids=(
         "normalised", "twice", "half", "shifted", "shifted-2d", "uv", "crossed", "seats", "all-people", "mm", "cm",
         "inch", "one-person", "short", "negated", "negated-itop", "mm-itop", "breathing", "scattered", "sides",
         "sides-few", "sides-itop", "depth-empty", "depth-unit", "depth-along", "z-along",
+        "fold",
     ),
 )  # fmt: skip
 def test_a_wrong_label_is_told(dataset: xr.Dataset, change: Change, said: str) -> None:

@@ -50,6 +50,19 @@ def test_every_joint_has_its_own_parts_and_a_reach() -> None:
             assert not any(part.endswith("_left" if joint[0] == "r" else "_right") for part in OWN_PARTS[joint])
 
 
+def test_a_joint_beyond_the_fold_of_a_lens_is_outside_the_image() -> None:
+    """In a corner of its rays' box, from where the polynomial leads back into the image."""
+    lens = Camera(320, 240, 200.0, 200.0, 159.5, 119.5, (-0.3, 0.02, 0.0, 0.0, 0.0))
+    inside, beyond = (0.88, 0.65, 1.0), (0.95, 0.7, 1.0)
+    assert np.linalg.norm(inside[:2]) < lens.monotonic_radius < np.linalg.norm(beyond[:2])
+    assert lens.contains(lens.project([inside, beyond], folded=True)).all()
+    joints = np.tile(np.array([[[0.88, 0.65, 1.0]], [[0.95, 0.7, 1.0]]]), (1, len(JOINTS), 1))
+    ball_behind = merge([ball((5.0, 0, 0), 0.1, "head_left", instance=1)])
+    states = joint_visibility(joints, [1, 2], ball_behind, FORWARD, lens)
+    assert (states[0] == Visibility.VISIBLE).all()
+    assert (states[1] == Visibility.OUTSIDE_IMAGE).all()
+
+
 @pytest.mark.parametrize("joint", JOINTS)
 def test_a_joint_inside_its_own_part_is_visible(joint: str) -> None:
     assert state(joint, (1.0, 0, 0), [ball((1.0, 0, 0), 0.08, OWN_PARTS[joint][0], instance=1)]) == Visibility.VISIBLE
@@ -98,7 +111,7 @@ def test_a_joint_that_the_lens_folds_into_the_image_is_outside() -> None:
     folding = Camera(100, 100, 60.0, 60.0, 49.5, 49.5, (-0.3, 0.0, 0.0, 0.0, 0.0))
     far_out = np.full((1, 20, 3), np.nan)
     far_out[0, 0] = (1.79, 0.0, 1.0)  # distorts to 0.07, near the centre
-    assert folding.contains(folding.project(far_out[0, 0]))
+    assert folding.contains(folding.project(far_out[0, 0], folded=True))
     assert joint_visibility(far_out, [1], room(), np.eye(4), folding)[0, 0] == Visibility.OUTSIDE_IMAGE
 
 

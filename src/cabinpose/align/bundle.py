@@ -138,7 +138,7 @@ def _places(sightings: BoardSightings, state: _State) -> F64:
 def _residuals(sightings: BoardSightings, state: _State) -> tuple[F64, F64]:
     """Pixels seen less predicted (V, N + M, 2), and markers in the world less those of the board (V, M, 3)."""
     places = _places(sightings, state)
-    predicted = state.camera.project(apply(state.camera_from_world, places))
+    predicted = state.camera.project(apply(state.camera_from_world, places), folded=True)
     return sightings.pixels - predicted, sightings.p_world - places[:, len(sightings.board.corners) :]
 
 
@@ -233,7 +233,10 @@ def _step(head: F64, rest: F64, both: F64, pull_head: F64, pull_rest: F64) -> tu
 
 def _derivative(camera: Camera, p_camera: F64) -> F64:
     """(..., 2, 3) of the pixel by the point, by central differences."""
-    columns = [(camera.project(p_camera + d) - camera.project(p_camera - d)) / (2 * _STEP_M) for d in np.eye(3) * _STEP_M]
+    columns = []
+    for d in np.eye(3) * _STEP_M:
+        ahead, behind = (camera.project(p_camera + sign * d, folded=True) for sign in (1, -1))
+        columns.append((ahead - behind) / (2 * _STEP_M))
     return np.nan_to_num(np.stack(columns, axis=-1))
 
 
@@ -251,7 +254,7 @@ def _by_lens(camera: Camera, p_camera: F64) -> F64:
     numbers = _lens(camera)
     columns = []
     for d in np.diag(np.where(np.arange(9) < 4, 1e-3, 1e-6)):
-        ahead, behind = (_with_lens(camera, numbers + sign * d).project(p_camera) for sign in (1, -1))
+        ahead, behind = (_with_lens(camera, numbers + sign * d).project(p_camera, folded=True) for sign in (1, -1))
         columns.append((ahead - behind) / (2 * d.sum()))
     return np.nan_to_num(np.stack(columns, axis=-1))
 

@@ -240,7 +240,7 @@ def camera_from_world(p_camera: ArrayLike, p_world: ArrayLike, board: Board | No
 def _refined(camera: Camera, points: F64, uv: F64, start: F64) -> tuple[Matrix, float]:
     def residual(x: F64) -> F64:
         at = apply(transform(Rotation.from_rotvec(x[:3]), x[3:]), points)
-        pixels = camera.project(np.where(at[:, 2:] > 1e-3, at, (0.0, 0.0, 1e-3)))
+        pixels = camera.project(np.where(at[:, 2:] > 1e-3, at, (0.0, 0.0, 1e-3)), folded=True)
         return np.asarray((pixels - uv).ravel())
 
     solved = least_squares(residual, start, method="lm", xtol=1e-14, ftol=1e-14)

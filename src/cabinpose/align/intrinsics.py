@@ -207,8 +207,9 @@ def _held_out(
 
 
 def _rms(camera: Camera, camera_from_board: Matrix, uv: F64 | None, board: Board) -> float:
+    """Of a view (px); infinite where the fitted lens folds before the last corner."""
     away = camera.project(apply(camera_from_board, board.corners)) - np.asarray(uv)
-    return float(np.sqrt(np.mean(np.sum(away**2, axis=-1))))
+    return float(np.sqrt(np.mean(np.sum(np.nan_to_num(away, nan=np.inf) ** 2, axis=-1))))
 
 
 def _same(one: F64 | None, other: F64) -> bool:

@@ -14,6 +14,8 @@ from .camera import Distortion as Distortion
 from .camera_check import camera_doubts as camera_doubts
 from .camera_check import camera_from as camera_from
 from .camera_check import check_camera as check_camera
+from .camera_check import check_image_circle as check_image_circle
+from .camera_check import depth_doubt as depth_doubt
 from .camera_check import forget_told_cameras as forget_told_cameras
 from .camera_check import known_camera as known_camera
 from .errors import AlignmentError as AlignmentError

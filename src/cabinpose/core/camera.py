@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Distortion = tuple[float, float, float, float, float]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
 _ROUNDED = 1e-7  # of the size of a cubic's coefficients: a double root at 0 is as far off by rounding
-_TANGENTIAL = 1.02  # what tangential distortion may add to the radius at which the model folds
+_TANGENTIAL = 1.02  # what tangential distortion may add to the radius at which the model folds: a factor
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,11 @@ class Camera:
             t = u - p / (3 * u)
         none = _ROUNDED * (abs(k1) + math.sqrt(abs(k2)) + rp.power(abs(k3), 1 / 3))
         return 1.0 / math.sqrt(t - k1) if t - k1 > none else math.inf
+
+    @cached_property
+    def visible_radius(self) -> float:
+        """The ideal radius of the last point that the lens sees; infinite where it folds nowhere."""
+        return self.monotonic_radius * (_TANGENTIAL if any(self.dist[2:4]) else 1.0)
 
     @classmethod
     def from_fov(
@@ -129,16 +134,32 @@ class Camera:
         native.undistort(
             np.ascontiguousarray(target).reshape(-1, 2), np.array(self.dist, np.float64), iterations, ideal.reshape(-1, 2)
         )
-        if self.monotonic_radius < math.inf:  # a root of the polynomial beyond it is no ray, and may lie across the axis
-            ideal[np.linalg.norm(ideal, axis=-1) > _TANGENTIAL * self.monotonic_radius] = np.nan
+        if self.visible_radius < math.inf:  # a root of the polynomial beyond it is no ray, and may lie across the axis
+            ideal[np.linalg.norm(ideal, axis=-1) > self.visible_radius] = np.nan
         return ideal
 
-    def project(self, p_camera: ArrayLike) -> Array:
-        """Points (..., 3) in metres to pixels (..., 2); NaN at or behind the camera plane."""
+    def project(self, p_camera: ArrayLike, *, folded: bool = False) -> Array:
+        """Points in front of the camera as pixels.
+
+        Parameters
+        ----------
+        p_camera : (..., 3)
+            m, camera frame.
+        folded
+            Give what the polynomial says beyond `monotonic_radius`, too: for fits, whose trial lenses may fold anywhere.
+
+        Returns
+        -------
+        (..., 2)
+            px; NaN at or behind the camera plane, and where radial distortion would fold the point back towards the axis.
+        """
         p = np.asarray(p_camera, dtype=np.float64)
         z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
-        xy = self.distort(p[..., :2] / z[..., None])
-        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+        ideal = p[..., :2] / z[..., None]
+        uv = self.distort(ideal) * (self.fx, self.fy) + (self.cx, self.cy)
+        if self.visible_radius < math.inf and not folded:
+            uv[np.linalg.norm(ideal, axis=-1) > self.visible_radius] = np.nan
+        return uv
 
     def unproject(self, uv: ArrayLike, depth_m: ArrayLike) -> Array:
         """Pixels (..., 2) with depth along the axis (...) to points (..., 3) in metres."""

@@ -33,6 +33,7 @@ ANISOTROPY: Final = 1.12  # the larger focal length over the other; 1.0003, PAL'
 USUAL_DEG: Final = (10.0, 150.0)  # field of view; 46 and 105
 DARK: Final = 0.4  # share of the points looked at that have no ray; 0.32 of a square around its image circle
 TANGENTIAL: Final = 0.02  # p1, p2; 0.0011
+RAYLESS: Final = 0.02  # share of an image's depths that lie where the lens has no ray; 0
 
 _GRID = 17  # points a side that are looked at
 _ALIKE = 0.1  # two factors that differ by less are one
@@ -88,9 +89,38 @@ def check_camera(camera: Camera, whose: str, *, error: type[CabinposeError] = Co
     fault = _fault(camera)
     if fault is not None:
         raise error(f"{whose}: {fault.said}", hint=fault.hint)
-    if camera_doubts(camera):
-        _tell(camera, whose)
+    if doubts := camera_doubts(camera):
+        _tell(f"{whose}: {'; '.join(doubts)}")
     return camera
+
+
+def check_image_circle(camera: Camera, whose: str, circle_px: float | None) -> None:
+    """Warn once of a lens that folds within its image, where no image circle is stated that ends before.
+
+    whose: what messages call the camera · circle_px: radius of the image circle about the principal point; None: not stated.
+    """
+    if not camera.is_distorted or math.isinf(fold := _fold_px(camera)) or (circle_px is not None and circle_px <= fold):
+        return
+    dark = 1.0 - np.isfinite(_factors(camera)).mean()
+    if 0 < dark <= DARK:  # of more it is told as a doubt of the camera
+        _tell(
+            f"{whose}: {_folds(camera)}, and {100 * dark:.0f} % of the pixels lie beyond and see nothing: right only where the"
+            f" image circle of the lens ends there, which field_radius_px={fold:.0f} says; else fit dist to the whole image"
+        )
+
+
+def depth_doubt(camera: Camera, depth_m: NDArray[np.floating]) -> str:
+    """What a lens that sees nothing where its images (..., height, width) have depths means, in words; "" where it sees all."""
+    if math.isinf(camera.monotonic_radius):
+        return ""
+    seen = np.isfinite(depth_m) & (depth_m > 0)
+    share = np.count_nonzero(seen[..., np.isnan(camera.rays[..., 0])]) / max(int(np.count_nonzero(seen)), 1)
+    if share <= RAYLESS:
+        return ""
+    return (
+        f"{100 * share:.0f} % of the depths lie where the lens sees nothing: {_folds(camera)}. Fit dist to the whole image; these"
+        " pixels are no points, and joints there are outside the image"
+    )
 
 
 @lru_cache(maxsize=1024)
@@ -138,9 +168,9 @@ class _Fault(NamedTuple):
 
 
 @lru_cache(maxsize=1024)
-def _tell(camera: Camera, whose: str) -> None:
-    """Warn of a camera's doubts, once for each camera and who has it."""
-    warnings.warn(f"{whose}: {'; '.join(camera_doubts(camera))}", stacklevel=5)
+def _tell(words: str) -> None:
+    """Warn of what hardly can be, once for each camera and who has it."""
+    warnings.warn(words, stacklevel=5)
 
 
 @lru_cache(maxsize=1024)
@@ -270,12 +300,23 @@ def _fold(camera: Camera) -> float:
     """
     edge = min(camera.cx / camera.fx, (camera.width - 1 - camera.cx) / camera.fx,
                camera.cy / camera.fy, (camera.height - 1 - camera.cy) / camera.fy)  # fmt: skip
-    if edge <= 0 or math.isinf(camera.monotonic_radius):
+    return math.inf if edge <= 0 else _fold_px(camera) / camera.fx / edge
+
+
+def _fold_px(camera: Camera) -> float:
+    """Where the radial polynomial folds: px from the principal point along a row; infinite: nowhere."""
+    r, (k1, k2, _, _, k3) = camera.monotonic_radius, camera.dist
+    if math.isinf(r):
         return math.inf
-    k1, k2, _, _, k3 = camera.dist
-    r = camera.monotonic_radius
     r2 = r * r
-    return r * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / edge
+    return r * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * camera.fx
+
+
+def _folds(camera: Camera) -> str:
+    return (
+        f"distortion {_numbers(camera.dist)} folds {_fold_px(camera):.0f} px from the principal point,"
+        f" {math.degrees(rp.arctan(camera.monotonic_radius)):.1f}° off the axis"
+    )
 
 
 def _off_centre(camera: Camera) -> str:

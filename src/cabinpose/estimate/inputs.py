@@ -76,10 +76,10 @@ class InputView:
         return _gather(images, _nearest_back(self, source))
 
     def pixels(self, uv: NDArray[np.floating], source: Camera) -> Joints:
-        """Where the source camera sees what the view sees at (u, v) (..., 2), whatever its depth."""
+        """Where the source camera sees what the view sees at (u, v) (..., 2), whatever its depth; NaN where it sees nothing."""
         camera = self.camera
         xy = (np.asarray(uv, dtype=np.float64) - (camera.cx, camera.cy)) / self.focal
-        return source.distort(xy) * (source.fx, source.fy) + (source.cx, source.cy)
+        return source.project(np.concatenate((xy, np.ones_like(xy[..., :1])), axis=-1))
 
     def to_view(self, p_camera: Joints) -> Joints:
         """Points (..., 3) in the camera frame (m) to (u, v, z): pixels of this view and depth in metres."""

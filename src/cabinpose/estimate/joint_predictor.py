@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import POSE_ARRAYS, Camera, ConfigError, FrameBatch, PoseBatch, camera_doubts, joined
+from cabinpose.core import POSE_ARRAYS, Camera, ConfigError, FrameBatch, PoseBatch, camera_doubts, depth_doubt, joined
 from cabinpose.estimate.alternatives import ALTERNATIVES, Alternatives
 from cabinpose.estimate.expected_error import expected_errors, usual_errors
 from cabinpose.estimate.found import Found, mirrored
@@ -78,6 +78,10 @@ class JointPredictor:
         reasons, remarks = ([text for text in texts if text] for texts in zip(*judged, strict=True))
         for remark in remarks[:1]:
             self._warn_once("a covered lens", remark)
+        folded = [depth_doubt(camera, depth) for camera, depth in zip(cameras, frames["depth"][which], strict=True)]
+        for doubt in dict.fromkeys(filter(None, folded)):
+            self._warn_once("a lens that folds", doubt)
+            remarks.append(doubt)
         for reason in reasons[:1]:
             self._warn_once("nobody", f"a frame in which {self.name} cannot see anybody: {reason}; it has no joints")
         reason = np.array([why for why, _ in judged], object)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -18,9 +18,12 @@ from cabinpose.core import (
     OTHER_SKELETONS,
     Bools,
     Camera,
+    DatasetError,
     Floats,
     Skeleton,
     Visibility,
+    depth_doubt,
+    known_camera,
     units_that_fit,
 )
 from cabinpose.store.schema import joint_dimension, joints_variable
@@ -97,6 +100,11 @@ def label_warnings(dataset: xr.Dataset) -> tuple[str, ...]:
     ----------
     dataset
         An opened one (`open_dataset`), or a selection of its frames, of which 64 at most are looked at.
+
+    Raises
+    ------
+    DatasetError
+        Where the camera of one of these frames cannot be.
     """
     frames = dataset.sizes["frame"]
     if "joints_3d" not in dataset or "joints_2d" not in dataset or not frames:
@@ -106,7 +114,8 @@ def label_warnings(dataset: xr.Dataset) -> tuple[str, ...]:
     known = "visibility" in some
     seen: Bools = np.asarray(some["visibility"] == Visibility.VISIBLE if known else np.isfinite(uv).all(axis=-1), bool)
     size = (dataset.attrs["width"], dataset.attrs["height"]) if "width" in dataset.attrs else None
-    cameras = _cameras(some, size)
+    with warnings.catch_warnings(action="ignore"):  # what is doubtful of a camera was said at opening
+        cameras = _cameras(some, size)
     told: list[str] = []
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of means of nothing
@@ -114,6 +123,7 @@ def label_warnings(dataset: xr.Dataset) -> tuple[str, ...]:
         told += [line for name, labels in _sets(some, xyz, uv, seen) for line in _bodies(name, labels)]
         ours = _by_our_names(_names(some, CABINPOSE), _Labels(xyz, uv, seen, _people(some)))
         told += [*_crossed(ours), *_seats(ours, some), *_own_pixels(ours, some), *_surface(ours, some, cameras)]
+        told += _folded(some, cameras)
     return tuple(told)
 
 
@@ -193,16 +203,12 @@ def _pixels(uv: Floats, seen: Bools, size: tuple[int, int] | None) -> Iterator[s
 
 
 def _cameras(some: xr.Dataset, size: tuple[int, int] | None) -> list[Camera]:
-    """The camera of each frame; none where one is not known."""
+    """The camera of each frame; none where one is not known. Raises DatasetError where one cannot be."""
     if size is None or "camera_k" not in some or "camera_dist" not in some:
         return []
-    k, dist = some["camera_k"].values, some["camera_dist"].values
-    if not (np.isfinite(k).all() and np.isfinite(dist).all()):
-        return []
-    return [
-        Camera(*size, fx=m[0, 0], fy=m[1, 1], cx=m[0, 2], cy=m[1, 2], dist=tuple(d.tolist()))
-        for m, d in zip(k, dist, strict=True)
-    ]
+    each = zip(some["camera_k"].values, some["camera_dist"].values, strict=True)
+    cameras = [known_camera(k, dist, *size, whose="camera_k of a frame", error=DatasetError) for k, dist in each]
+    return [camera for camera in cameras if camera is not None] if None not in cameras else []
 
 
 def _projection(xyz: Floats, uv: Floats, seen: Bools, cameras: Sequence[Camera]) -> Iterator[str]:
@@ -374,6 +380,11 @@ def _surface(labels: _Labels, some: xr.Dataset, cameras: Sequence[Camera]) -> It
         yield f"{what}: {cause} {LIMITS['in_front'][1]}"
     elif cameras and known.any(axis=(1, 2)).sum() >= _TREND:
         yield from _along(image, labels, depth, known, cameras)
+
+
+def _folded(some: xr.Dataset, cameras: Sequence[Camera]) -> Iterable[str]:
+    """The lens of the first frame beside its depth."""
+    return filter(None, [depth_doubt(cameras[0], some["depth"][0].values)] if cameras and "depth" in some else [])
 
 
 def _along(image: str, labels: _Labels, depth: Floats, known: Bools, cameras: Sequence[Camera]) -> Iterator[str]:

@@ -39,6 +39,7 @@ bool JointRays::start(const Joints& joints, const Lens& lens, int width, int hei
     if (!(u >= -0.5 && u < width - 0.5 && v >= -0.5 && v < height - 0.5)) continue;
     // A distorting lens must also be able to see it: beyond the rays of the image its polynomial may fold back into it.
     if (distorts && !(x >= lens.box[0] && x <= lens.box[2] && y >= lens.box[1] && y <= lens.box[3])) continue;
+    if (x * x + y * y > lens.radius * lens.radius) continue;
     const int row = std::clamp(static_cast<int>((v + 0.5) * per_v), 0, cells - 1);
     const int column = std::clamp(static_cast<int>((u + 0.5) * per_u), 0, cells - 1);
     rays_.push_back(

@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cabinpose.core import Camera, ConfigError, Registry, check_camera
+from cabinpose.core import Camera, ConfigError, Registry, check_camera, check_image_circle
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Ratios of two frequencies beyond this leave less than 1/20 of a turn for the noise of each phase.
@@ -90,6 +90,7 @@ class Sensor(BaseModel):
         """Checks that fields fit each other."""
         del context
         check_camera(self.camera, f"sensor '{self.name}'")
+        check_image_circle(self.camera, f"sensor '{self.name}'", self.field_radius_px)
         near, far = self.range_m
         if not 0 <= near < far:
             raise ConfigError(

@@ -122,6 +122,7 @@ class _Lens(NamedTuple):
     dist: Floats
     box: Floats
     curvature: float
+    radius: float
 
 
 class _Eye(NamedTuple):
@@ -168,7 +169,10 @@ def _lens(camera: Camera) -> _Lens:
         raise ConfigError("no pixel of this camera has a ray", hint="check the distortion coefficients and the focal length")
     margin = 1.0 / min(camera.fx, camera.fy)  # a pixel
     box = np.concatenate((np.nanmin(rays, axis=0) - margin, np.nanmax(rays, axis=0) + margin))
-    return _Lens(camera.fx, camera.fy, camera.cx, camera.cy, np.array(camera.dist, np.float64), box, _curvature(camera, box))
+    return _Lens(
+        camera.fx, camera.fy, camera.cx, camera.cy, np.array(camera.dist, np.float64), box, _curvature(camera, box),
+        camera.visible_radius,
+    )  # fmt: skip
 
 
 def _curvature(camera: Camera, box: Floats) -> float:
