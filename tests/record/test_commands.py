@@ -90,6 +90,8 @@ def test_the_duration_and_a_take_of_its_own(tmp_path: Path, rig: Path, run: Run)
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_asked_to_stop_it_ends_the_file(tmp_path: Path, rig: Path, kind: signal.Signals) -> None:
+    if signal.getsignal(kind) == signal.SIG_IGN:
+        pytest.skip(f"{kind.name} is ignored here (nohup), and so by what is begun from here")
     rig.write_text(yaml.safe_dump({"sources": {"suit": {"kind": "numbered"}}}))
     out = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "cabinpose", "record", "--config", rig, "--out", out]

@@ -1,12 +1,22 @@
 // A frame's image in colours and its people's joints over it. Depth and amplitude come as 16 bits a pixel and are coloured here, so
 // that contrast and zoom cost the server nothing; a joint is dragged here, and the server told where it was let go.
+const MOST_ZOOM = 64;
 const HIT_PX = 12; // on the screen, from a joint to the pointer that takes it
 const TELL_MS = 400, AGAIN_MS = 500, ANSWER_MS = 20000, SHOWN_MS = 8000; // what waits so long is told; tried again; given up; words stay
+const REFOCUS_MS = 200; // a click within that of the window's own focus brought the window to the front
+const PAST_SELECT_MS = 80; // a list takes the keyboard back once it has closed
+const KEYS_OF = [ // which keys belong to what has the keyboard outside the image; the others are the image's
+  ["input, textarea, select, [contenteditable], [role=combobox]", () => true],
+  ["button, a, [role=button], [role=tab], [role=checkbox], [role=switch], .q-item", (key) => ["Enter", " ", "Tab"].includes(key) || key.startsWith("Arrow")],
+  ["[role=slider], .q-slider", (key) => key === "Tab" || key.startsWith("Arrow")],
+  ["*", (key) => key === "Tab"],
+];
+const OURS = /^(.|Enter|Tab|Escape|Arrow.*)$/; // browsers keep the others
 const counted = (count) => (count === 1 ? "1 input" : count + " inputs");
 
 export default {
   template: `
-    <div ref="box" class="frame-canvas" tabindex="0" :data-seen="seen" style="position:relative;outline:none;overflow:hidden;width:100%;height:100%">
+    <div ref="box" class="frame-canvas" tabindex="0" :data-seen="seen" style="position:relative;overflow:hidden;width:100%;height:100%">
       <canvas ref="canvas" style="width:100%;height:100%;display:block;cursor:crosshair;touch-action:none"></canvas>
       <div ref="note" style="position:absolute;left:8px;bottom:6px;font:12px monospace;color:#fff;background:#0009;
         padding:1px 6px;border-radius:4px;pointer-events:none"></div>
@@ -16,7 +26,7 @@ export default {
       <div v-if="state" style="position:absolute;inset:0;display:flex;align-items:center;justify-content:center;color:#889;
         font:14px sans-serif;pointer-events:none">{{ state }}</div>
     </div>`,
-  props: { url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array, inputs: String, most: Number },
+  props: { keeps: String, url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array, inputs: String, most: Number },
   data: () => ({ unwritten: "", untaken: "", state: "loading", seen: "", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
   created() { // what is done here and not yet there, oldest first
     Object.assign(this, { queue: [], number: 0, name: Math.random().toString(36).slice(2), sending: false, trouble: "", closed: false });
@@ -31,11 +41,22 @@ export default {
     canvas.addEventListener("wheel", this.wheel, { passive: false });
     for (const [name, handler] of [["pointerdown", this.down], ["pointermove", this.move], ["pointerup", this.up], ["pointerleave", this.leave]])
       canvas.addEventListener(name, handler);
-    canvas.addEventListener("dblclick", () => { this.view = null; this.draw(); });
-    this.$refs.box.addEventListener("keydown", this.key);
+    canvas.addEventListener("dblclick", () => { this.view = null; this.draw(); this.keep(); });
+    this.toFront = () => { this.frontSince = performance.now(); };
+    window.addEventListener("focus", this.toFront);
+    if (this.inputs) document.addEventListener("keydown", this.key);
+    this.kept = this.keeps ? (new URL(location).searchParams.get(this.keeps) || "").split(",").map(Number) : [];
+    if (this.inputs) this.focus();
     this.load();
   },
-  unmounted() { this.observer.disconnect(); window.removeEventListener("beforeunload", this.leaving); },
+  activated() { if (this.inputs) this.focus(); },
+  unmounted() {
+    this.observer.disconnect();
+    window.removeEventListener("beforeunload", this.leaving);
+    window.removeEventListener("focus", this.toFront);
+    document.removeEventListener("keydown", this.key);
+    clearTimeout(this.keeping);
+  },
   watch: {
     url() { this.load(); },
     near() { this.recolour(); }, far() { this.recolour(); }, palette() { this.recolour(); },
@@ -64,7 +85,7 @@ export default {
         const values = answer.headers.get("x-bits") === "8" ? new Uint8Array(bytes) : new Uint16Array(bytes);
         const same = this.image && this.image.width === width && this.image.height === height;
         this.image = { width, height, step, kind, values, unit: answer.headers.get("x-unit") || "" };
-        if (!same) this.view = null;
+        if (!same) this.view = this.keptView();
         this.state = "";
         this.seen = url; // goes with all that is done: the server ignores what was meant for the image before
         this.loading = false;
@@ -110,6 +131,20 @@ export default {
       const box = this.$refs.box.getBoundingClientRect(), ratio = window.devicePixelRatio || 1, canvas = this.$refs.canvas;
       canvas.width = Math.max(box.width * ratio, 1); canvas.height = Math.max(box.height * ratio, 1);
       this.draw();
+    },
+    keptView() { // the view that stands in the address, once
+      const [zoom, u, v] = this.kept, { width, height } = this.$refs.canvas;
+      this.kept = [];
+      if (!(zoom > 1 && zoom <= MOST_ZOOM && Number.isFinite(u) && Number.isFinite(v))) return null;
+      const scale = zoom * Math.min(width / this.image.width, height / this.image.height);
+      return { scale, x: width / 2 - (u + 0.5) * scale, y: height / 2 - (v + 0.5) * scale };
+    },
+    keep() { // the view, in the address: how often as large as the whole image, and the pixel in the middle
+      if (!this.keeps || !this.image) return;
+      const { width, height } = this.$refs.canvas, { scale, x, y } = this.place();
+      const zoom = scale / Math.min(width / this.image.width, height / this.image.height);
+      const words = [zoom, (width / 2 - x) / scale - 0.5, (height / 2 - y) / scale - 0.5].map((n) => n.toFixed(3)).join(",");
+      window.studioRemember({ [this.keeps]: this.view ? words : "" });
     },
     place() { // the view: screen = pixel * scale + offset; the whole image until the user zooms
       const canvas = this.$refs.canvas, image = this.image;
@@ -172,17 +207,19 @@ export default {
       if (!this.image) return;
       const { u, v, sx, sy } = this.pixel(event), scale = this.place().scale * Math.exp(-event.deltaY / 400);
       const whole = Math.min(this.$refs.canvas.width / this.image.width, this.$refs.canvas.height / this.image.height);
-      this.view = scale <= whole ? null : { scale: Math.min(scale, 64 * whole), x: 0, y: 0 };
+      this.view = scale <= whole ? null : { scale: Math.min(scale, MOST_ZOOM * whole), x: 0, y: 0 };
       if (this.view) { this.view.x = sx - (u + 0.5) * this.view.scale; this.view.y = sy - (v + 0.5) * this.view.scale; }
       this.draw();
+      this.keep();
     },
     down(event) {
+      const focusing = document.activeElement !== this.$refs.box || performance.now() - this.frontSince < REFOCUS_MS;
       this.$refs.box.focus();
       if (!this.image) return;
       this.$refs.canvas.setPointerCapture(event.pointerId);
       const hit = event.button === 0 ? this.nearest(event) : null;
       const panning = event.button !== 0 || event.shiftKey;
-      this.drag = { url: this.seen, hit, panning, moved: false, from: [event.clientX, event.clientY], view: { ...this.place() } };
+      this.drag = { url: this.seen, hit, panning, focusing, moved: false, from: [event.clientX, event.clientY], view: { ...this.place() } };
       if (hit) this.ask("pick", { url: this.seen, person: hit[0], joint: hit[1] });
     },
     move(event) {
@@ -204,10 +241,11 @@ export default {
     up(event) {
       const drag = this.drag;
       this.drag = null;
+      if (drag && drag.panning) this.keep();
       if (!this.image || !drag || drag.panning) return;
       const { u, v } = this.pixel(event);
       if (drag.hit && drag.moved && this.editable) this.ask("place", { url: drag.url, person: drag.hit[0], joint: drag.hit[1], u, v, dragged: true });
-      else if (!drag.hit && !drag.moved && u > -0.5 && v > -0.5 && u < this.image.width - 0.5 && v < this.image.height - 0.5)
+      else if (!drag.hit && !drag.moved && !drag.focusing && u > -0.5 && v > -0.5 && u < this.image.width - 0.5 && v < this.image.height - 0.5)
         this.ask("place", { url: drag.url, u, v, dragged: false });
     },
     leave() { this.$refs.note.textContent = ""; },
@@ -216,7 +254,11 @@ export default {
       const inside = x >= 0 && y >= 0 && x < width && y < height, value = inside ? values[y * width + x] : 0;
       this.$refs.note.textContent = inside ? `${x}, ${y}: ${value ? (value * step).toFixed(unit === "m" ? 3 : 0) + " " + unit : "invalid"}` : "";
     },
-    key(event) {
+    key(event) { // of the whole page, while the image is seen and nothing else that has the keyboard wants it
+      const at = event.target, inside = this.$refs.box.contains(at);
+      if (!OURS.test(event.key) || !this.$refs.box.offsetParent || document.querySelector(".q-dialog, .q-menu")) return;
+      if (!inside && KEYS_OF.find(([what]) => at.closest(what))?.[1](event.key)) return;
+      if (event.key === "Escape") { this.$refs.box.blur(); return; }
       if (event.ctrlKey || event.metaKey || event.altKey) { if (!(event.ctrlKey && event.key === "z")) return; }
       event.preventDefault();
       this.ask("key", { url: this.seen, key: event.key, shift: event.shiftKey });
@@ -265,6 +307,6 @@ export default {
       clearTimeout(this.forgetting);
       this.forgetting = setTimeout(() => { this.untaken = ""; }, SHOWN_MS);
     },
-    focus() { this.$refs.box.focus(); },
+    focus() { this.keeping = setTimeout(() => { if (this.$refs.box?.offsetParent) this.$refs.box.focus({ preventScroll: true }); }, PAST_SELECT_MS); },
   },
 };

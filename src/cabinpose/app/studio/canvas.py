@@ -55,10 +55,11 @@ class FrameCanvas(Element, component="canvas.js"):
         *,
         editable: bool = False,
         live: bool = False,
+        keeps: str = "",
         on_input: Callable[[Input], str] | None = None,
         on_loaded: Callable[[], Any] | None = None,
     ) -> None:
-        """live: an image that cannot be had any more leaves the one before.
+        """live: an image that cannot be had any more leaves the one before · keeps: under which name zoom stands in the address.
 
         on_input: does what was asked for, and gives why it could not be, or "" · on_loaded: the browser has an image, or knows
         that it cannot be had.
@@ -66,6 +67,7 @@ class FrameCanvas(Element, component="canvas.js"):
         super().__init__()
         self.classes("w-full h-full")
         self._props |= {"url": "", "near": 0.0, "far": 2.0, "people": [], "editable": editable, "live": live, "selected": None}
+        self._props["keeps"] = keeps
         self._props |= {"limbs": [], "palette": colour_map().tolist(), "inputs": "", "most": MOST_INPUTS}
         self._on_input, self._window, self._taken = on_input, "", 0
         if on_input is not None:
@@ -116,6 +118,10 @@ class FrameCanvas(Element, component="canvas.js"):
         """Whether joints can be dragged."""
         self._props["editable"] = editable
         self.update()
+
+    def focus(self) -> None:
+        """Give the image the keyboard."""
+        self.run_method("focus")
 
     def joints(
         self, people: Sequence[Mapping[str, Any]], limbs: Sequence[Sequence[int]], selected: tuple[int, int] | None = None

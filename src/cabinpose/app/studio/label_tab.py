@@ -34,6 +34,7 @@ _HELP = (
     ("v s h o x", "visible, self-occluded, hidden, outside, absent"), ("arrows", "move it by 1 px; Shift: 5 px"),
     ("Enter", "accept all that is shown, and go to the next frame"), ("c", "copy from the last labelled frame"),
     ("i", "interpolate up to the next labelled frame"), ("z", "undo"), ("f b", "next frame, the one before"),
+    ("Esc", "leave the image: Tab goes through the page"),
     ("wheel", "zoom; Shift and drag: move; double click: all"),
 )  # fmt: skip
 _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
@@ -57,6 +58,7 @@ class LabelTab:
         self._redraw: asyncio.TimerHandle | None = None
         self._refusal = self._told = ""  # why what was asked for last could not be done; what a message said
         self._rows: list[_JointRow] = []
+        self._remembered: dict[str, object] = {}  # what stands in the address
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
@@ -64,41 +66,54 @@ class LabelTab:
                 self._trouble = ui.label().classes("studio-news w-full").mark("trouble")
                 self._trouble.visible = False
                 with ui.element("div").classes("studio-pane w-full"):
-                    self._canvas = FrameCanvas(editable=True, on_input=self._input)
+                    self._canvas = FrameCanvas(editable=True, keeps="label.zoom", on_input=self._input)
                 with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
                     ui.button(icon="chevron_left", on_click=lambda: self._go(-1)).props("flat round dense").tooltip("b")
                     self._slider = ui.slider(min=0, max=max(len(self._queue) - 1, 1), value=0, on_change=self._slid)
                     self._slider.style("flex: 1")
                     ui.button(icon="chevron_right", on_click=lambda: self._go(1)).props("flat round dense").tooltip("f")
                     self._number = ui.label().style("min-width: 230px; text-align: right; font-variant-numeric: tabular-nums")
-        self._show()
+        ui.timer(0.0, self._go_on, once=True)
         ui.timer(1.0, self._look_for_others)
+
+    async def _go_on(self) -> None:
+        """Show the frame, in the order of frames, that stand in the address."""
+        number = self._page.remembered("label.frame", self._labelling.numbers.tolist())
+        await self._reorder(self._row if number is None else self._labelling.row(number))
 
     @property
     def _row(self) -> int:
         return self._queue[self._position]
 
     def _build_side(self) -> None:
-        begin = first_choice(self._workspace)
-        self._labelling.use(load_choice(self._workspace, begin))
+        labelling = self._labelling
+        begin = self._page.remembered("label.proposals", choices(self._workspace)) or first_choice(self._workspace)
+        labelling.use(load_choice(self._workspace, begin))
         self._model = ui.select(choices(self._workspace), value=begin, label="proposals from", on_change=self._use_model)
         self._model.props("dense outlined").classes("w-full").mark("proposals")
-        persons = list(self._labelling.persons)
+        persons = list(labelling.persons)
+        self._person = self._page.remembered("label.person", persons) or self._person
         self._people = ui.select(persons, value=self._person, label="person", on_change=self._set_person)
         self._people.props("dense outlined").classes("w-full").mark("person")
-        sets = list(self._labelling.sets)
-        ui.select(sets, value=sets[0], label="joints", on_change=self._set_joints).props("dense outlined").classes("w-full")
-        self._order = ui.select(self._orders(), value="order", label="frames", on_change=self._reorder).props("dense outlined")
+        sets = list(labelling.sets)
+        joints = self._page.remembered("label.joints", sets) or sets[0]
+        labelling.joints = labelling.sets[joints]
+        self._joints = ui.select(sets, value=joints, label="joints", on_change=self._set_joints).props("dense outlined")
+        self._joints.classes("w-full")
+        order = self._page.remembered("label.order", self._orders()) or "order"
+        self._order = ui.select(self._orders(), value=order, label="frames", on_change=self._new_order).props("dense outlined")
         self._order.classes("w-full").mark("order")
         images = [name for name in (*DEPTHS, *GREYS) if name in self._dataset]
-        with ui.row().classes("no-wrap w-full items-center"):
-            self._image = ui.select(images, value="depth", on_change=self._show).props("dense outlined").style("flex: 1")
+        self._image = ui.select(images, value="depth", label="image", on_change=self._chose_image).props("dense outlined")
+        self._image.classes("w-full")
+        with ui.row().classes("no-wrap w-full items-center").style("gap: 14px; padding: 0 14px 0 2px"):
+            ui.label("colours").style("font-size: 13px; opacity: .8")
             self._contrast = ui.range(min=0.0, max=1.0, step=0.01, value={"min": 0.0, "max": 1.0}, on_change=self._show)
-            self._contrast.style("flex: 1; margin-right: 10px").tooltip("contrast")
+            self._contrast.style("flex: 1").tooltip("from the nearest to the farthest depth that is coloured").mark("colours")
         self._list = ui.column().classes("w-full").style("gap: 0")
         with ui.row().classes("no-wrap w-full").style("gap: 6px"):
             self._changing = [
-                ui.button(words, on_click=lambda key=key: self._key(key))
+                ui.button(words, on_click=lambda key=key: self._press(key))
                 .props("dense outline no-caps")
                 .style("flex: 1; font-size: 12px")
                 .tooltip(key)
@@ -142,6 +157,14 @@ class LabelTab:
         if kept and not where.dragged:
             self._next_joint()
         self._show_soon()
+
+    def _press(self, key: str) -> None:
+        self._key(key)
+        self._canvas.focus()
+
+    def _chose_image(self) -> None:
+        self._show()
+        self._canvas.focus()
 
     def _key(self, key: str, *, shift: bool = False) -> None:
         labelling, joint = self._labelling, self._labelling.joints[self._chosen]
@@ -217,12 +240,12 @@ class LabelTab:
         if str(event.value) == self._person:
             return  # with the frame that was asked for
         self._person, self._chosen = str(event.value), 0
-        await self._reorder()
+        await self._reorder(self._row)
 
     async def _set_joints(self, event: Any) -> None:
         self._labelling.joints, self._chosen = self._labelling.sets[str(event.value)], 0
         self._labelling.use(self._labelling.model)  # proposals of these joints
-        await self._reorder()
+        await self._reorder(self._row)
 
     def _history(self) -> None:
         """What was done to the person in this frame, by whom, newest first."""
@@ -243,10 +266,16 @@ class LabelTab:
             self._labelling.use(await run.io_bound(load_choice, self._workspace, self._model.value))
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True)
+        await self._reorder(self._row)
+
+    async def _new_order(self) -> None:
         await self._reorder()
 
-    async def _reorder(self) -> None:
-        """Bring the frames into the order that is asked for; unsure ones first needs the model on all of them."""
+    async def _reorder(self, at: int | None = None) -> None:
+        """Bring the frames into the order that is asked for, and show the first, or the one of a row if it is among them.
+
+        Unsure ones first needs the model on all of them.
+        """
         rows = list(range(len(self._labelling.numbers)))
         if self._order.value == "unsure":
             if self._labelling.model is None:
@@ -259,8 +288,10 @@ class LabelTab:
             rows = [row for row in rows if not self._labelling.done(row, self._person)]
         elif str(self._order.value).startswith(_WORST):
             rows = await self._worst(str(self._order.value).removeprefix(_WORST)) or rows
-        self._queue, self._position = rows or [0], 0
+        self._queue = rows or [0]
+        self._position = self._queue.index(at) if at in self._queue else 0
         self._show()
+        self._canvas.focus()
 
     async def _worst(self, predictions: str) -> list[int]:
         """All rows, the one first in which these predictions of the person are worst; none where they cannot be judged."""
@@ -336,6 +367,7 @@ class LabelTab:
     def _show_frame(self) -> None:
         self._drawn_at = time.monotonic()
         labelling, row = self._labelling, self._row
+        self._remember()
         self._changes_seen = len(labelling.labels.history)
         shown = labelling.shown(row, self._person)
         limbs = skeleton_with(labelling.joints).limbs
@@ -354,6 +386,14 @@ class LabelTab:
             f"{whole_frames} of {len(labelling.numbers)} frames done; {len(labelling.labels.history)} changes in "
             f"{labelling.labels.path.name}"
         )
+
+    def _remember(self) -> None:
+        """Put what is shown into the address, where it is not what one begins with."""
+        controls = {"proposals": self._model, "person": self._people, "joints": self._joints, "order": self._order}
+        words = {name: select.value for name, select in controls.items()} | {"frame": self._labelling.numbers[self._row]}
+        if words != self._remembered:
+            self._remembered = words
+            self._page.remember({f"label.{name}": word for name, word in words.items()})
 
     def _show_joints(self, shown: Sequence[Shown]) -> None:
         if [each.joint for each in self._rows] != [each.joint for each in shown]:

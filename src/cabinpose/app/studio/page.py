@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 
 from nicegui import ui
 
@@ -19,6 +20,7 @@ body { font-family: system-ui, sans-serif; }
 .studio-side { width: 290px; min-width: 290px; overflow-y: auto; gap: 8px; }
 .studio-main { flex: 1; min-width: 0; height: 100%; gap: 8px; }
 .studio-pane { flex: 1; min-width: 0; min-height: 0; border-radius: 6px; overflow: hidden; background: #1b1e24; }
+.frame-canvas { outline: none; } .frame-canvas:focus-visible { outline: 2px solid #4f9fd8; outline-offset: -2px; }
 .studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
 .studio-joint { gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer; }
 .studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
@@ -29,6 +31,23 @@ body { font-family: system-ui, sans-serif; }
 .q-tab-panel { padding: 0; overflow: hidden; }
 """
 
+# No more than ten times a second: browsers ignore pages that change their address faster for long.
+_REMEMBER = """
+{
+  let waiting = null, last = 0;
+  const write = () => {
+    const address = new URL(location);
+    for (const [name, word] of Object.entries(waiting)) word === "" ? address.searchParams.delete(name) : address.searchParams.set(name, word);
+    waiting = null; last = performance.now();
+    history.replaceState(history.state, "", address);
+  };
+  window.studioRemember = (words) => {
+    if (waiting) { Object.assign(waiting, words); return; }
+    waiting = { ...words };
+    setTimeout(write, Math.max(0, last + 100 - performance.now()));
+  };
+}
+"""
 
 TABS = (scene_tab.TAB, dataset_tab.TAB, label_tab.TAB, compare_tab.TAB, live_tab.TAB)  # in the order of the bar
 
@@ -38,12 +57,17 @@ def shared_by(workspace: Workspace) -> list[Shared]:
     return [tab.shared(workspace) for tab in TABS if tab.shared is not None]
 
 
-def studio_page(workspace: Workspace, shared: Sequence[Shared]) -> None:
-    """Build the page for one browser."""
+def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping[str, str]) -> None:
+    """Build the page for one browser. address: see `Page`."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
     shown = workspace.key
     panels: dict[str, ui.tab_panel] = {}
+    client = ui.context.client
+    client.run_javascript(_REMEMBER)
+
+    def remember(words: Mapping[str, object]) -> None:
+        client.run_javascript(f"studioRemember({json.dumps({name: str(word) for name, word in words.items()})})")
 
     def fill(tab: Tab) -> None:
         """Build a tab, or tell why it cannot be."""
@@ -71,15 +95,16 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared]) -> None:
     ui.colors(primary="#2f6f9f")
     with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
         ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
-        with ui.tabs().props("dense align=left no-caps inline-label") as bar:
+        with ui.tabs(on_change=lambda e: remember({"tab": e.value})).props("dense align=left no-caps inline-label") as bar:
             for tab in TABS:
                 ui.tab(tab.name)
         opened = ui.label(_opened(workspace)).classes("studio-opened")
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
-    page = Page(workspace, shared, bar.set_value, renew, lambda: bar.value)
-    with ui.tab_panels(bar, value=_first(workspace), keep_alive=True, animated=False).classes("w-full"):
+    page = Page(workspace, shared, bar.set_value, renew, lambda: bar.value, address, remember)
+    first = page.remembered("tab", [tab.name for tab in TABS]) or _first(workspace)
+    with ui.tab_panels(bar, value=first, keep_alive=True, animated=False).classes("w-full"):
         for tab in TABS:
             panels[tab.name] = ui.tab_panel(tab.name)
             fill(tab)

@@ -63,10 +63,10 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
         nicegui_app.on_shutdown(each.stop)
 
     @ui.page("/")
-    async def page() -> None:
+    async def page(request: Request) -> None:
         """Build the page once somebody looks at it: whoever loads it without a WebSocket leaves nothing behind."""
         await ui.context.client.connected(timeout=CONNECT_S)
-        studio_page(workspace, shared)
+        studio_page(workspace, shared, dict(request.query_params))
 
     nicegui_app.add_exception_handler(404, _not_found)
     ui.run_with(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -31,8 +31,9 @@ class Page:
     """The page of one browser, as its tabs see it.
 
     show: brings a tab to the front · renew: the same, after the tabs of the dataset are built anew where another one was opened ·
-    front: the name of the tab in front, which alone takes keys · show_frame: shows a frame, by its number, in the tab Label; None
-    while there is nothing to label.
+    front: the name of the tab in front, which alone takes keys · address: what stood in the address when the page was loaded, words
+    that anybody may have typed · remember: puts words there, so that a reload finds them; "" takes one away · show_frame: shows a
+    frame, by its number, in the tab Label; None while there is nothing to label.
     """
 
     workspace: Workspace
@@ -40,11 +41,18 @@ class Page:
     show: Callable[[str], object]
     renew: Callable[[str], None]
     front: Callable[[], object]
+    address: Mapping[str, str]
+    remember: Callable[[Mapping[str, object]], object]
     show_frame: Callable[[int], None] | None = None
 
     def of_studio(self, kind: type[T]) -> T:
         """What the browsers share of this type."""
         return next(each for each in self.shared if isinstance(each, kind))
+
+    def remembered(self, name: str, among: Collection[T]) -> T | None:
+        """The one of some things whose word stands in the address under a name, None where none does."""
+        word = self.address.get(name)
+        return next((each for each in among if str(each) == word), None)
 
     def label(self, number: int) -> None:
         """Open a frame, by its number, to be labelled."""
