@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,29 @@ def test_undo_leaves_what_another_session_has_set_since(workspace: Workspace, la
     lines = labelling.labels.path.read_text()
     assert labelling.undo() == (0, 1)
     assert labelling.labels.path.read_text() == lines
+
+
+def test_undo_goes_on_after_a_reload_and_another_day(dataset_folder: Path, workspace: Workspace) -> None:
+    """A window's changes are its own after a reload; once the studio was ended, whoever has the role takes back what it did."""
+    window = Labelling(workspace.dataset, workspace.labels, session="a")
+    window.place(0, DRIVER, "head", 40.0, 41.0)
+    first = window.place(0, DRIVER, "head", 50.0, 51.0)
+    window.place(0, DRIVER, "head", 60.0, 61.0)
+    Labelling(workspace.dataset, workspace.labels, "reviewer", session="b").place(0, DRIVER, "neck", 1.0, 2.0)
+    reloaded = Labelling(workspace.dataset, workspace.labels, session="a")
+    assert reloaded.undo() == (1, 0)
+    assert reloaded.labels.get(0, DRIVER, "head") == first
+    assert Labelling(workspace.dataset, workspace.labels, session="c").undo() is None  # another window
+    workspace.close()
+    with closing(open_workspace(dataset_folder)) as next_day:
+        again = Labelling(next_day.dataset, next_day.labels)
+        assert again.undo() == (1, 0)
+        held = again.labels.get(0, DRIVER, "head")
+        assert held is not None
+        assert held.uv == (40.0, 41.0)
+        assert again.undo() == (1, 0)
+        assert list(again.labels.now) == [(0, DRIVER, "neck")]
+        assert again.undo() is None  # what is left is another role's
 
 
 @pytest.mark.parametrize("what", ["deleted", "renamed", "replaced", "written to"])

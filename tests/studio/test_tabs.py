@@ -67,7 +67,7 @@ def used(workspace: Workspace, steps: Callable[[User], Awaitable[None]]) -> None
     """Open the page and take the steps of a user."""
 
     async def simulate() -> None:
-        async with user_simulation(lambda: studio_page(workspace, shared_by(workspace), {})) as user:
+        async with user_simulation(lambda: studio_page(workspace, shared_by(workspace), {}, "w")) as user:
             await user.open("/")
             await steps(user)
 

@@ -22,6 +22,7 @@ from .itop import read_itop_frames as read_itop_frames
 from .itop import read_itop_reference as read_itop_reference
 from .label_check import label_warnings as label_warnings
 from .label_check import warn_of_labels as warn_of_labels
+from .labels import Change as Change
 from .labels import JointLabel as JointLabel
 from .labels import Key as Key
 from .labels import Labels as Labels

@@ -3,7 +3,8 @@
 JSON lines. The first line says what the labels are of (`format`, `version`, `dataset`, `persons`, `joints`). Each other line is a
 change: `time` (UTC), `role` of who made it, `how`, `frame`, `person`, `joint`, `visibility` (`core.pose.Visibility`, or null: the
 label was taken away), `u`, `v` (px, or null) and `x`, `y`, `z` (m, camera frame, or null). The last change of a joint holds.
-An undo is another change, so the history stays. A change is on the disk before `set` returns.
+An undo is another change, so the history stays. A change is on the disk before `set` returns. What is changed at once has one
+time, which nothing else has; `session` (the window) and `undoes` (the time of what an undo takes back) may be missing.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -66,7 +68,7 @@ class Labels:
             elif len(whole) < len(text):
                 self._file.truncate(len(whole))
             _, self.history = _parsed(path, whole, header)
-            self._size = len(whole)
+            self._size, self.begun = len(whole), len(self.history)  # begun: how many changes are from before
         except BaseException:
             self._file.close()
             raise
@@ -85,14 +87,16 @@ class Labels:
         """What holds for every joint that was set."""
         return self._now
 
-    def set(self, changes: Iterable[tuple[Key, JointLabel | None]], *, role: str, how: str) -> None:
+    def set(
+        self, changes: Iterable[tuple[Key, JointLabel | None]], *, role: str, how: str, session: str = "", undoes: str = ""
+    ) -> None:
         """Set joints, all or none of them, or take their labels away (None); returns when that is on the disk.
 
         Raises DatasetError where the disk refuses, for a person or joint that the dataset does not have, and see `check`.
         """
         self.check()
-        time = datetime.now(UTC).isoformat(timespec="milliseconds")
-        made = [Change(time, role, how, *key, label) for key, label in changes]
+        time = self._time()
+        made = [Change(time, role, how, *key, label, session, undoes) for key, label in changes]
         for change in made:
             if change.person not in self.persons or change.joint not in self.joints:
                 raise DatasetError(
@@ -101,6 +105,13 @@ class Labels:
         self._append("".join(change.line() for change in made).encode())
         self.history += made
         _apply(self._now, made)
+
+    def _time(self) -> str:
+        """Now, or just after the last change where the clock has not gone on since."""
+        now = datetime.now(UTC)
+        with suppress(IndexError, ValueError, TypeError, OverflowError):  # nothing is changed yet, or by others
+            now = max(now, datetime.fromisoformat(self.history[-1].time) + timedelta(microseconds=1))
+        return now.isoformat(timespec="microseconds")
 
     def check(self) -> None:
         """Raise DatasetError where the journal is no longer the file of its name, or holds what is not from here."""
@@ -149,6 +160,13 @@ class Change:
     person: str
     joint: str
     label: JointLabel | None
+    session: str = ""
+    undoes: str = ""
+
+    @property
+    def key(self) -> Key:
+        """What was changed."""
+        return self.frame, self.person, self.joint
 
     def line(self) -> str:
         """As it stands in the file."""
@@ -160,6 +178,7 @@ class Change:
             row["visibility"] = int(self.label.visibility)
             values = (*self.label.uv, *self.label.xyz)
             row |= {name: float(x) if np.isfinite(x) else None for name, x in zip("uvxyz", values, strict=True)}
+        row |= {name: word for name, word in (("session", self.session), ("undoes", self.undoes)) if word}
         return json.dumps(row, allow_nan=False) + "\n"
 
 
@@ -235,7 +254,8 @@ def _parsed(path: Path, text: bytes, expected: dict[str, Any] | None) -> tuple[d
         try:
             label = _label(row)
             time, role, how, person, joint = (str(row[key]) for key in ("time", "role", "how", "person", "joint"))
-            changes.append(Change(time, role, how, int(row["frame"]), person, joint, label))
+            session, undoes = (str(row.get(key, "")) for key in ("session", "undoes"))
+            changes.append(Change(time, role, how, int(row["frame"]), person, joint, label, session, undoes))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise DatasetError(f"{path}:{number}: no label ({error!r})", hint="mend or remove the line") from error
     return header, changes
@@ -266,8 +286,7 @@ def _number(value: Any) -> float:
 def _apply(labels: dict[Key, JointLabel], changes: Iterable[Change]) -> None:
     """Let changes take effect, in their order."""
     for change in changes:
-        key = change.frame, change.person, change.joint
         if change.label is None:
-            labels.pop(key, None)
+            labels.pop(change.key, None)
         else:
-            labels[key] = change.label
+            labels[change.key] = change.label

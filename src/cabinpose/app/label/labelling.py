@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import secrets
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 import xarray as xr
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from cabinpose.align import surface_depth, visibility
 from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility, images_of
 from cabinpose.evaluate import frame_batch
-from cabinpose.store import JointLabel, Key, Labels, Manifest, Predictions, camera_of, dataset_id
+from cabinpose.store import Change, JointLabel, Key, Labels, Manifest, Predictions, camera_of, dataset_id
 
 Origin = Literal["label", "dataset", "proposal", "none"]
 PRESENT = 0.5  # a joint that a model finds less probable is not proposed
@@ -59,17 +61,31 @@ class Undone(NamedTuple):
     kept: int
 
 
+class _Step(NamedTuple):
+    """What was changed at once: from where to where it stands in the history, and its time."""
+
+    begin: int
+    end: int
+    time: str
+
+
 class Labelling:
     """Labels of one dataset in work. Rows are positions in the dataset; frames are told by their numbers.
 
     labels: the dataset's journal · role: who labels, as the journal shall say · check: raises DatasetError where the dataset is
-    no longer the one that is labelled.
+    no longer the one that is labelled · session: whose changes undo takes back, another one than all others by default.
     """
 
     def __init__(
-        self, dataset: xr.Dataset, labels: Labels, role: str = "annotator", check: Callable[[], object] = lambda: None
+        self,
+        dataset: xr.Dataset,
+        labels: Labels,
+        role: str = "annotator",
+        check: Callable[[], object] = lambda: None,
+        session: str | None = None,
     ) -> None:
         self.dataset, self.labels, self.role, self._check = dataset, labels, role, check
+        self._session = session or secrets.token_hex(4)
         known = [str(name) for name in self.dataset["joint"].values]
         self.sets = _joint_sets(known)
         self.joints = next(iter(self.sets.values()))
@@ -82,8 +98,7 @@ class Labelling:
         self._sequence = small["sequence"].values
         self._bones: defaultdict[tuple[str, str, str], dict[int, float]] = defaultdict(dict)  # see `_measured_bones`
         self._measured = 0  # changes of the journal that they hold
-        self._undo: list[tuple[int, list[tuple[Key, JointLabel | None]]]] = []  # where in the history it begins, what was before
-        self._own: set[int] = set()  # positions in the history of what this session set
+        self._kept: set[str] = set()  # times of changes all of whose joints somebody else has set since
         self.model: Predictor | Predictions | None = None
         self._proposed = lru_cache(_REMEMBERED)(self._propose)
 
@@ -215,32 +230,48 @@ class Labelling:
         self.labels.check()
 
     def undo(self) -> Undone | None:
-        """Take the last change of this session back, but for joints that another one has set since; None: there is none."""
-        if not self._undo:
+        """Take the last change of this session back, but for joints that another one has set since; None: there is none.
+
+        After those of this session come the ones that this role made before the journal was opened, newest first.
+        """
+        step = next((step for step in reversed(self._steps()) if step.time not in self._kept), None)
+        if step is None:
             return None
-        begun, before = self._undo[-1]
-        others = {
-            (change.frame, change.person, change.joint)
-            for position, change in enumerate(self.labels.history[begun:], begun)
-            if position not in self._own
-        }
-        back = [(key, label) for key, label in before if key not in others]
+        history = self.labels.history
+        later = history[step.end :]
+        others = {change.key for position, change in enumerate(later, step.end) if not self._is_ours(position, change)}
+        keys = [change.key for change in history[step.begin : step.end]]
+        back = dict.fromkeys((key for key in keys if key not in others), cast("JointLabel | None", None))
+        back |= {change.key: change.label for change in history[: step.begin] if change.key in back}
         if back:
-            self._write(back, "undone")
-        self._undo.pop()
-        return Undone(len(back), len(before) - len(back))
+            self._set(list(back.items()), "undone", step.time)
+        else:
+            self._kept.add(step.time)
+        return Undone(len(back), len(keys) - len(back))
 
-    def _set(self, changes: Sequence[tuple[Key, JointLabel | None]], how: str) -> None:
-        before = [(key, self.labels.get(*key)) for key, _ in changes]
-        begun = len(self.labels.history)
-        self._write(changes, how)
-        self._undo.append((begun, before))
+    def _steps(self) -> list[_Step]:
+        """What can be undone, oldest first."""
+        steps: list[_Step] = []
+        end = 0
+        for time, group in groupby(self.labels.history, lambda change: change.time):
+            changes = list(group)
+            begin, end, first = end, end + len(changes), changes[0]
+            if first.how != "undone":
+                if self._is_ours(begin, first):
+                    steps.append(_Step(begin, end, time))
+            elif first.undoes:
+                steps = [step for step in steps if step.time != first.undoes]
+            elif steps and self._is_ours(begin, first):  # of a journal whose undoes do not say what they take back
+                steps.pop()
+        return steps
 
-    def _write(self, changes: Sequence[tuple[Key, JointLabel | None]], how: str) -> None:
+    def _is_ours(self, position: int, change: Change) -> bool:
+        """Whether a change, at its position in the history, is of this session or of this role before the journal was opened."""
+        return change.session == self._session or (position < self.labels.begun and change.role == self.role)
+
+    def _set(self, changes: Sequence[tuple[Key, JointLabel | None]], how: str, undoes: str = "") -> None:
         self.check()
-        begun = len(self.labels.history)
-        self.labels.set(changes, role=self.role, how=how)
-        self._own.update(range(begun, len(self.labels.history)))
+        self.labels.set(changes, role=self.role, how=how, session=self._session, undoes=undoes)
 
     # ------------------------------------------------------------------------------------------------ proposals
 

@@ -458,7 +458,7 @@ def _build(page: Page) -> None:
         no_dataset(workspace.recording, "Open the dataset whose joints are to be labelled:", "cabinpose studio DATASET")
         return
     try:
-        labelling = Labelling(workspace.dataset, workspace.labels, workspace.role, workspace.new_frames)
+        labelling = Labelling(workspace.dataset, workspace.labels, workspace.role, workspace.new_frames, page.window)
     except CabinposeError as error:
         empty_state("The labels cannot be opened", str(error), error.hint or "")
         return

@@ -37,7 +37,8 @@ _REMEMBER = """
   let waiting = null, last = 0;
   const write = () => {
     const address = new URL(location);
-    for (const [name, word] of Object.entries(waiting)) word === "" ? address.searchParams.delete(name) : address.searchParams.set(name, word);
+    const words = address.searchParams;
+    for (const [name, word] of Object.entries(waiting)) word === "" ? words.delete(name) : words.set(name, word);
     waiting = null; last = performance.now();
     history.replaceState(history.state, "", address);
   };
@@ -57,8 +58,8 @@ def shared_by(workspace: Workspace) -> list[Shared]:
     return [tab.shared(workspace) for tab in TABS if tab.shared is not None]
 
 
-def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping[str, str]) -> None:
-    """Build the page for one browser. address: see `Page`."""
+def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping[str, str], window: str) -> None:
+    """Build the page for one browser. address, window: see `Page`."""
     ui.add_css(_STYLE)
     dark = ui.dark_mode(value=None)
     shown = workspace.key
@@ -102,7 +103,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
-    page = Page(workspace, shared, bar.set_value, renew, lambda: bar.value, address, remember)
+    page = Page(workspace, shared, bar.set_value, renew, lambda: bar.value, address, window, remember)
     first = page.remembered("tab", [tab.name for tab in TABS]) or _first(workspace)
     with ui.tab_panels(bar, value=first, keep_alive=True, animated=False).classes("w-full"):
         for tab in TABS:

@@ -31,9 +31,10 @@ class Page:
     """The page of one browser, as its tabs see it.
 
     show: brings a tab to the front · renew: the same, after the tabs of the dataset are built anew where another one was opened ·
-    front: the name of the tab in front, which alone takes keys · address: what stood in the address when the page was loaded, words
-    that anybody may have typed · remember: puts words there, so that a reload finds them; "" takes one away · show_frame: shows a
-    frame, by its number, in the tab Label; None while there is nothing to label.
+    front: the name of the tab in front, which alone takes keys · address: what stood in the address when the page was loaded,
+    words that anybody may have typed · window: tells the browser's windows apart, the same after a reload · remember: puts words
+    into the address, so that a reload finds them; "" takes one away · show_frame: shows a frame, by its number, in the tab Label;
+    None while there is nothing to label.
     """
 
     workspace: Workspace
@@ -42,6 +43,7 @@ class Page:
     renew: Callable[[str], None]
     front: Callable[[], object]
     address: Mapping[str, str]
+    window: str
     remember: Callable[[Mapping[str, object]], object]
     show_frame: Callable[[int], None] | None = None
 
