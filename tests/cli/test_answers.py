@@ -215,6 +215,7 @@ def workplace(dataset_folder: Path, tmp_path_factory: pytest.TempPathFactory) ->
     (folder / "broken.yaml").write_text("a: [1\n b: 2", encoding="utf-8")
     (folder / "rig.yaml").write_text("cameras: {}\n", encoding="utf-8")
     (folder / "run.yaml").write_text("lr0: 0.01\n", encoding="utf-8")
+    (folder / "nobody.yaml").write_text("train: {subject: [S99]}\nvalidate: {subject: [S98]}\n", encoding="utf-8")
     (folder / "found.jsonl").touch()
     (folder / "t.glb").touch()
     (folder / "car.gltf").write_text('{"asset": {"version": "2.0"}}', encoding="utf-8")
@@ -276,14 +277,14 @@ def test_a_configuration_may_stand_without_its_flag(run: Run, workplace: Path, m
     assert loaded == [(Path("t.yaml"), ["people.asymmetric=true"])] * 2
 
 
-def test_a_method_that_does_not_exist_is_told_before_torch_is_loaded(workplace: Path) -> None:
+def test_what_cannot_be_trained_is_told_before_torch_is_loaded(workplace: Path) -> None:
     """In a process of its own: here other tests may have loaded it."""
-    lines = ("--method yolov8", "--config run.yaml", "--epochs 3")
+    lines = ("--method yolov8", "--config run.yaml", "--epochs 3", "--logger tensorbord", "--splits nobody.yaml")
     code = f"""
 import sys
 from cabinpose.app.cli import main
 codes = [main(f"train d --out run {{line}}".split()) for line in {lines}]
-assert (codes, "torch" in sys.modules, "lightning" in sys.modules) == ([2, 2, 2], False, False)
+assert (codes, "torch" in sys.modules, "lightning" in sys.modules) == ([2] * 5, False, False)
 """
     subprocess.run([sys.executable, "-c", code], cwd=workplace, check=True)
 

@@ -215,6 +215,7 @@ def test_training_takes_an_import(run: Run, tmp_path: Path) -> None:
     """ITOP's joints, split by subject, in the view of the detector for rooms."""
     pytest.importorskip("torch", reason="training needs the extra `train`")
     from cabinpose.app.training import stored_frames
+    from cabinpose.app.training_split import training_split
     from cabinpose.estimate.data import FrameSpec
     from cabinpose.estimate.inputs import InputView
 
@@ -223,7 +224,7 @@ def test_training_takes_an_import(run: Run, tmp_path: Path) -> None:
     f = 1 / 0.0035 / 2
     view = InputView(160, 120, f)
     spec = FrameSpec(view, ("standing",), "itop", ("head", "rhand"), amplitude=False)
-    training, validation = stored_frames({"itop": open_dataset(data)}, spec, None, "train", "validate")
+    training, validation = stored_frames(training_split({"itop": open_dataset(data)}, None, "train", "validate"), spec)
     assert (len(training), len(validation)) == (2, 1)
     kept = training[0]
     assert (kept.depth == 20000).mean() > 0.9

@@ -13,7 +13,8 @@ import pytest
 import small
 import xarray as xr
 
-from cabinpose.app.training import individuals, stored_frames, training_split
+from cabinpose.app.training import stored_frames
+from cabinpose.app.training_split import individuals, training_split
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate.data import StoredFrames
 from cabinpose.estimate.train_config import read_train_config
@@ -161,13 +162,13 @@ SPEC = frame_spec(TrainConfig(settings=small.TINY["compact"]))
 
 
 def test_stored_frames_are_the_sides_of_the_split() -> None:
-    sides = stored_frames({"it": dataset(SEATS)}, SPEC, None, "train", "validate")
+    sides = stored_frames(training_split({"it": dataset(SEATS)}, None, "train", "validate"), SPEC)
     assert [len(cast(Sized, side)) for side in sides] == [4, 1]
 
 
 def test_stored_frames_of_several_datasets_follow_each_other() -> None:
     given = {"a": dataset(SEATS), "b": alone("A", "E", "E").assign_coords(frame=[10, 11, 12])}
-    training, validation = stored_frames(given, SPEC, None, "train", "validate")
+    training, validation = stored_frames(training_split(given, None, "train", "validate"), SPEC)
     shown = [("a", 0), ("a", 1), ("a", 4), ("a", 5), ("b", 10)], [("a", 2), ("b", 11), ("b", 12)]
     for side, frames in zip((training, validation), shown, strict=True):
         assert len(cast(Sized, side)) == len(frames)
@@ -180,14 +181,14 @@ def test_stored_frames_of_several_datasets_follow_each_other() -> None:
 def test_joints_that_others_placed_are_learnt_with_a_warning() -> None:
     given = {"a": dataset(SEATS), "b": alone("A", "E", "E").assign_attrs(generator="import coco")}
     with pytest.warns(UserWarning, match=r"placed differently: in a the MakeHuman .*; in b those of the file's annotators"):
-        stored_frames(given, SPEC, None, "train", "validate")
+        stored_frames(training_split(given, None, "train", "validate"), SPEC)
 
 
 def test_another_image_may_be_read_as_depth() -> None:
     given = dataset(SEATS)
     spec = frame_spec(TrainConfig(settings=small.TINY["compact"], depth="depth_styled"))
     with pytest.raises(DatasetError, match="it: the dataset has no depth_styled"):
-        stored_frames({"it": given}, spec, None, "train", "validate")
+        stored_frames(training_split({"it": given}, None, "train", "validate"), spec)
     plain, styled = StoredFrames(given, SPEC)[0], StoredFrames(given.assign(depth_styled=given["depth"] + 0.1), spec)[0]
     assert (plain.depth > 0).any()
     np.testing.assert_allclose(styled.depth[plain.depth > 0], plain.depth[plain.depth > 0] + 1000, atol=1)  # of 0.1 mm
@@ -199,14 +200,14 @@ def test_frames_are_kept_all_together_or_not_at_all(monkeypatch: pytest.MonkeyPa
     given = {"a": dataset(SEATS), "b": alone("A", "E", "E")}
     for free, kept in ((2 * 8 * 64 * 48 * 4, False), (2 * 8 * 64 * 48 * 4 + 1, True)):
         monkeypatch.setattr(psutil, "virtual_memory", lambda free=free: SimpleNamespace(available=free))
-        for side in stored_frames(given, SPEC, None, "train", "validate"):
+        for side in stored_frames(training_split(given, None, "train", "validate"), SPEC):
             assert [side[i] is side[i] for i in range(len(cast(Sized, side)))] == [kept] * len(cast(Sized, side))
 
 
 def test_a_dataset_that_does_not_fit_is_named() -> None:
     given = {"a": dataset(SEATS), "b": alone("A", "E").drop_vars("amplitude")}
     with pytest.raises(DatasetError, match="b: the dataset has no amplitude") as caught:
-        stored_frames(given, SPEC, None, "train", "validate")
+        stored_frames(training_split(given, None, "train", "validate"), SPEC)
     assert caught.value.hint
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.report.raster import write_curves
 from cabinpose.app.training import stored_frames
+from cabinpose.app.training_split import training_split
 from cabinpose.core import (
     ITOP,
     ConfigError,
@@ -134,7 +135,7 @@ def train_model(
     make_folder(out)
     write_whole(record, text)
     datasets = {str(folder): open_dataset(folder) for folder in data}
-    training, validation = stored_frames(datasets, frame_spec(config), None, "train", "validate")
+    training, validation = stored_frames(training_split(datasets, None, "train", "validate"), frame_spec(config))
     start, observers = Start(resume=(out / "last.ckpt").exists()), Observers(progress, partial(write_curves, out / "curves.png"))
     best = fit(config, training, validation, out, start=start, observers=observers)
     if best.suffix == ".ckpt":

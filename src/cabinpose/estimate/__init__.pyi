@@ -21,6 +21,8 @@ from .joint_predictor import JointPredictor as JointPredictor
 from .lifter import LiftedPredictor as LiftedPredictor
 from .lifter import Lifter as Lifter
 from .lifter import lifted as lifted
+from .loggers import LOGGERS as LOGGERS
+from .loggers import check_loggers as check_loggers
 from .methods import METHODS as METHODS
 from .methods import ArrayMethod as ArrayMethod
 from .methods import Arrays as Arrays

@@ -118,11 +118,14 @@ class Observers:
         whether the run ends here before its time.
     callbacks
         Lightning's.
+    loggers
+        What else the figures are written to, keys of `cabinpose.estimate.LOGGERS`.
     """
 
     progress: Progress | None = None
     draw: Draw | None = None
     callbacks: tuple[Callback, ...] = ()
+    loggers: tuple[str, ...] = ()
 
 
 def usable_precision(precision: Precision) -> Precision:

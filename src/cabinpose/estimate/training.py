@@ -12,7 +12,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
-from importlib.util import find_spec
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -23,7 +22,6 @@ import lightning
 import numpy as np
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint, WeightAveraging
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins import TorchCheckpointIO
 from pydantic import ValidationError
 from torch import Tensor, nn
@@ -37,6 +35,7 @@ from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, trained_on
 from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import Kept
+from cabinpose.estimate.loggers import check_loggers, open_loggers
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
 from cabinpose.estimate.onnx_model import TRAINED_ON, packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
@@ -197,7 +196,7 @@ def fit(
     config: TrainConfig, training: Frames, validation: Frames, out: Path, *,
     start: Start | None = None, machines: Machines | None = None, observers: Observers | None = None, **old: Any,
 ) -> Path:  # fmt: skip
-    """Train into the folder `out`: last.ckpt, best.ckpt, log/metrics.csv (TensorBoard's files where it is installed).
+    """Train into the folder `out`: last.ckpt, best.ckpt, log/metrics.csv.
 
     Parameters
     ----------
@@ -226,11 +225,16 @@ def fit(
     ------
     ConfigError
         Where `out` holds another run and `resume` is not asked for, or where there is too little memory for a batch.
+    DependencyError
+        Where a logger is not installed.
     ModelError
         Where the run to resume, or to begin with, is of another network.
     """
     start, machines, observers = with_old_keywords(start or Start(), machines or Machines(), observers or Observers(), old)
+    check_loggers(observers.loggers)
     if isinstance(METHODS[config.method], ArrayMethod):
+        if observers.loggers:
+            raise ConfigError(f"{config.method} has no epochs to log", hint="leave --logger out")
         if start.resume or start.init is not None:
             raise ConfigError(
                 f"{config.method} is fitted in one go, from nothing", hint="leave --resume and --init out, and train it anew"
@@ -257,11 +261,11 @@ def fit(
     average = [WeightAveraging(avg_fn=_moving_average(config.average))] if config.average else []
     curves = Curves(out, monitor, mode, config.patience, observers.draw)
     reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
-    with _quiet(), _too_little_memory(config.batch, last):
+    with _quiet(), _too_little_memory(config.batch, last), open_loggers(observers.loggers, out / "log") as loggers:
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=usable_precision(config.precision),
             devices=machines.devices, num_nodes=machines.nodes,
-            callbacks=[*average, best, newest, curves, *reports, *observers.callbacks], logger=_loggers(out),
+            callbacks=[*average, best, newest, curves, *reports, *observers.callbacks], logger=loggers,
             num_sanity_val_steps=0, log_every_n_steps=10, enable_model_summary=False,
             enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
             plugins=[_WholeCheckpoints()],
@@ -344,13 +348,6 @@ def _moving_average(decay: float) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
         return kept * mean + (1 - kept) * value
 
     return update
-
-
-def _loggers(out: Path) -> list[Any]:
-    """TensorBoard's, where one of its writers is installed; `Curves` writes the CSV file."""
-    if any(find_spec(name) is not None for name in ("tensorboard", "tensorboardX")):
-        return [TensorBoardLogger(out, name="", version="log")]
-    return []
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from cabinpose.app.extras import require
 from cabinpose.core import ConfigError, Registry
 
 if TYPE_CHECKING:
+    from cabinpose.app.training_split import Sides
     from cabinpose.estimate import Frames, FrameSpec
 
 
@@ -57,6 +58,8 @@ class Train(PrintsJson):
     """Devices per machine, as Lightning understands them."""
     nodes: int = 1
     """Machines, started by Lightning's launchers."""
+    logger: Annotated[tuple[str, ...], several("{tensorboard,mlflow,wandb} ...")] = ()
+    """What else the figures are written to, in log; each is an extra."""
     init: Maybe[Path] = None
     """Checkpoint of an earlier run of the same network to start from, or such a model of `compact`: packaged, or an ONNX file."""
     resume: bool = False
@@ -75,10 +78,12 @@ def run(command: Train) -> None:
     if command.val is not None and (command.splits is not None or not 0 < command.val < 1):
         why = "--splits says who validates" if command.splits is not None else f"--val {command.val:g} is no share"
         raise ConfigError(why, hint="leave out --val, or give a number between 0 and 1 and no --splits")
-    from cabinpose.estimate import read_train_config
+    from cabinpose.estimate import check_loggers, read_train_config
 
     config = read_train_config(command.config, command.method)  # what is wrong is told before torch is loaded
+    check_loggers(command.logger)
     helps = any(os.environ.get(name, "0") != "0" for name in _RANKS)
+    sides = None if command.synth is not None else _sides(command, helps=helps)
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress(silent=helps)), False
         report.phase("loading torch")
@@ -97,12 +102,12 @@ def run(command: Train) -> None:
 
         unit = "steps" if isinstance(METHODS[config.method], ArrayMethod) else "batches"
         report.phase("opening datasets")
-        training, validation = _frames(command, frame_spec(config), config.seed, helps=helps)
+        training, validation = _frames(command, sides, frame_spec(config), config.seed)
         draw = partial(write_curves, command.out / "curves.png")
         devices = int(command.devices) if command.devices.isdigit() else command.devices
         best = fit(
             config, training, validation, command.out, start=Start(command.resume, command.init),
-            machines=Machines(devices, command.nodes), observers=Observers(show, draw),
+            machines=Machines(devices, command.nodes), observers=Observers(show, draw, loggers=command.logger),
         )  # fmt: skip
     if helps:
         return
@@ -116,14 +121,11 @@ def run(command: Train) -> None:
         print(f"export it with: cabinpose export onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
 
 
-def _frames(command: Train, spec: FrameSpec, seed: int, *, helps: bool) -> tuple[Frames, Frames]:
-    """Training and validation frames, stored or generated; warns of labels that are hardly right, unless it only helps."""
-    from cabinpose.app.training import generated_frames, stored_frames
+def _sides(command: Train, *, helps: bool) -> Sides:
+    """Who learns and who validates; warns of labels that are hardly right, unless it only helps."""
+    from cabinpose.app.training_split import training_split
     from cabinpose.store import open_dataset, warn_of_labels
-    from cabinpose.synth import SynthConfig
 
-    if command.synth is not None:
-        return generated_frames(SynthConfig.load(command.synth), spec, command.frames, seed)
     if not command.datasets:
         raise ConfigError("there is nothing to learn from", hint="give DATASET or --synth SCENE.yaml")
     datasets = {str(folder): open_dataset(folder) for folder in command.datasets}
@@ -132,4 +134,14 @@ def _frames(command: Train, spec: FrameSpec, seed: int, *, helps: bool) -> tuple
     if not helps:
         for name, dataset in datasets.items():
             warn_of_labels(dataset, name)
-    return stored_frames(datasets, spec, command.splits, command.train, command.validate, share=command.val)
+    return training_split(datasets, command.splits, command.train, command.validate, share=command.val)
+
+
+def _frames(command: Train, sides: Sides | None, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]:
+    """Training and validation frames: stored ones, or generated ones where there are no sides."""
+    from cabinpose.app.training import generated_frames, stored_frames
+    from cabinpose.synth import SynthConfig
+
+    if sides is not None:
+        return stored_frames(sides, spec)
+    return generated_frames(SynthConfig.load(command.synth), spec, command.frames, seed)
