@@ -11,7 +11,7 @@ import pytest
 import cabinpose
 from cabinpose.estimate import JointPredictor, load_model
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "store"))  # files of other tools
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "store")]  # modules beside the tests
 
 
 @pytest.fixture(scope="session")

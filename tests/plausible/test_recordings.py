@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from mvnx_file import moving_person, write_mvnx
+from suit_rows import FRAMES, RATE_HZ, Poses, markers, rows_of
 
-from cabinpose.core import CMU_UNIT_M, LENGTHS_M, MVN_JOINTS, MVN_SEGMENTS, RecordingError
+from cabinpose.core import CMU_UNIT_M, LENGTHS_M, MVN_JOINTS, RecordingError
 from cabinpose.core.errors import CabinposeError, MocapError
 from cabinpose.signals import Channels, Facts, Markers, Message, Sample, SegmentPoses
 from cabinpose.store.convert import export_recording, import_recording, read_clip
@@ -22,9 +23,6 @@ from cabinpose.store.convert.c3d_write import write_c3d
 from cabinpose.store.convert.rows import Row, checked
 from cabinpose.store.recording import Recording, RecordingWriter, Take
 
-FRAMES = 60
-RATE_HZ = 60.0
-Poses = list[tuple[np.ndarray, np.ndarray]]
 CMU, MVNX, C3D = "mocap/cmu_131_01.bvh", "mocap/xsens_upper_body.mvnx", "mocap/vicon_two_subjects.c3d"
 
 
@@ -41,17 +39,6 @@ def _told() -> Iterator[None]:
         yield
 
 
-def rows_of(
-    person: Poses, *, scale: float = 1.0, order: tuple[int, ...] = (0, 1, 2, 3), norm: float = 1.0, rate_hz: float = RATE_HZ
-) -> list[Row]:
-    """A suit's frames; `rate_hz` is what the file states of them."""
-    rows: list[Row] = [(0, 0, Facts("S07", {"frame_rate_hz": rate_hz}))]
-    for i, (position, wxyz) in enumerate(person):
-        at = round(i * 1e9 / RATE_HZ)
-        rows.append((at, at, SegmentPoses("S07", MVN_SEGMENTS, scale * position, norm * wxyz[:, order])))
-    return rows
-
-
 def bvh_in(path: Path, person: Poses, unit_m: float) -> Path:
     """A BVH file in a unit: `write_bvh` has centimetres."""
     write_bvh(path, rows_of(person, scale=0.01 / unit_m))
@@ -62,18 +49,6 @@ def mvnx_with(path: Path, rows: list[Row], change: Callable[[str], str] = str) -
     write_mvnx(path, rows)
     path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
     return path
-
-
-def markers(person: Poses, scale: float = 1.0) -> list[Row]:
-    """The joints of the suit as an optical system would see them, under Plug-in Gait's names."""
-    names = {"LASI": "LeftUpperLeg", "RASI": "RightUpperLeg", "C7": "Neck", "LKNE": "LeftLowerLeg", "LANK": "LeftFoot",
-             "LSHO": "LeftUpperArm", "LELB": "LeftForearm", "LWRA": "LeftHand"}  # fmt: skip
-    columns = [MVN_SEGMENTS.index(segment) for segment in names.values()]
-    rows: list[Row] = [(0, 0, Facts("points", {"rate_hz": RATE_HZ}))]
-    for i, (position, _) in enumerate(person):
-        at = round(i * 1e9 / RATE_HZ)
-        rows.append((at, at, Markers("S07", tuple(names), scale * position[columns], np.full(len(names), 1e-4))))
-    return rows
 
 
 def c3d_with(path: Path, rows: list[Row], units: list[str]) -> Path:

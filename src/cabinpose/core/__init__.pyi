@@ -13,6 +13,7 @@ from .camera import Camera as Camera
 from .camera import Distortion as Distortion
 from .camera_check import camera_doubts as camera_doubts
 from .camera_check import camera_from as camera_from
+from .camera_check import camera_objections as camera_objections
 from .camera_check import check_camera as check_camera
 from .camera_check import check_image_circle as check_image_circle
 from .camera_check import depth_doubt as depth_doubt

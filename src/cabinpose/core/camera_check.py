@@ -65,11 +65,21 @@ def camera_from(
     CabinposeError
         Of the kind `error`, where no camera of such images has these numbers. A `UserWarning` says once what hardly can be.
     """
-    matrix, five = (np.ascontiguousarray(values, np.float64) for values in (k, dist))
-    camera = _of_bytes((matrix.tobytes(), matrix.shape), (five.tobytes(), five.shape), (width, height))
+    camera = _camera_or_fault(k, dist, (width, height))
     if isinstance(camera, Camera):
         return check_camera(camera, whose, error=error)
     raise error(f"{whose}: {camera.said}", hint=camera.hint)
+
+
+def camera_objections(k: ArrayLike, dist: ArrayLike, width: int, height: int) -> tuple[Camera | None, tuple[str, ...]]:
+    """The camera that a device states, None where it is none, and what speaks against it, in words; nothing is raised or warned.
+
+    k, dist, width, height: as for `camera_from`.
+    """
+    camera = _camera_or_fault(k, dist, (width, height))
+    if isinstance(camera, _Fault):
+        return None, (f"{camera.said} ({camera.hint})",)
+    return camera, camera_doubts(camera)
 
 
 def known_camera(
@@ -165,6 +175,13 @@ class _Fault(NamedTuple):
 
     said: str
     hint: str
+
+
+def _camera_or_fault(k: ArrayLike, dist: ArrayLike, size: tuple[int, int]) -> Camera | _Fault:
+    """The camera of a matrix and its distortion, or what is wrong with it."""
+    matrix, five = (np.ascontiguousarray(values, np.float64) for values in (k, dist))
+    camera = _of_bytes((matrix.tobytes(), matrix.shape), (five.tobytes(), five.shape), size)
+    return camera if isinstance(camera, _Fault) else _fault(camera) or camera
 
 
 @lru_cache(maxsize=1024)

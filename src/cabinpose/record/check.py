@@ -12,7 +12,7 @@ from pathlib import Path
 from cabinpose.core import CabinposeError, SourceEndedError
 from cabinpose.record.config import Rig, SourcePlan, Storage
 from cabinpose.record.lane import is_data
-from cabinpose.signals import FrameSource, HostClock
+from cabinpose.signals import FrameSource, HostClock, LiveCheck
 from cabinpose.store.recording import parts_beside
 
 _PATIENCE_S = 25.0  # for one source; they are asked at the same time
@@ -80,13 +80,14 @@ def _without_log(plan: SourcePlan) -> SourcePlan:
 
 
 def _listen(source: FrameSource, clock: HostClock) -> list[str]:
-    """What there is to say of a source that is there and sends nothing."""
+    """What there is to say of a source that is there and sends nothing, or of the camera that its first frame states."""
     until = clock.now_s() + _LISTEN_S
     try:
         source.open()
         while clock.now_s() < until:
-            if any(map(is_data, source.read(_READ_S))):
-                return []
+            samples = source.read(_READ_S)
+            if any(map(is_data, samples)):
+                return [words for sample in samples for words in LiveCheck().look(sample)]
     except SourceEndedError:
         return []
     finally:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cabinpose.core import CabinposeError, RecordingError, SourceEndedError
-from cabinpose.signals import Counts, Facts, FrameSource, HostClock, Sample
+from cabinpose.signals import DOUBTS, Counts, Facts, FrameSource, HostClock, LiveCheck, Sample
 from cabinpose.store.recording import SourceStatus, sample_bytes
 
 READ_S = 0.1  # how long a source waits for a sample before it looks whether the take is over
@@ -30,7 +30,8 @@ _OVERHEAD = 256  # bytes of a sample beside its raw bytes and arrays
 @dataclass(frozen=True)
 class LaneStatus:
     """What the panel shows of a source. rate_hz, jitter_ms (standard deviation of the intervals between arrivals) and
-    latency_ms (from arrival to file, greatest) are of the last two seconds; queue: share of its room that is filled.
+    latency_ms (from arrival to file, greatest) are of the last two seconds; queue: share of its room that is filled · doubts:
+    what speaks against its camera or bodies.
     """
 
     counts: SourceStatus
@@ -38,6 +39,7 @@ class LaneStatus:
     jitter_ms: float
     latency_ms: float
     queue: float
+    doubts: tuple[str, ...] = ()
 
 
 class Lane:
@@ -70,6 +72,8 @@ class Lane:
         self._last_ns: int | None = None
         self._began_ns = self._came_ns = 0  # when the first and the last of them came here; before the first: when it was opened
         self._away = False
+        self._check = LiveCheck()
+        self.doubts: tuple[str, ...] = ()
         self._stop, self._begun = threading.Event(), threading.Event()
         self.leads = getattr(source, "leads_take", False)
         self.opened = threading.Event()
@@ -165,6 +169,7 @@ class Lane:
             jitter_ms=statistics.pstdev(intervals) if intervals else 0.0,
             latency_ms=max((wait for _, wait in window), default=0) / 1e6,
             queue=queue,
+            doubts=self.doubts,
         )
 
     def _run(self) -> None:
@@ -184,7 +189,8 @@ class Lane:
                     samples = self._source.read(READ_S)
                     if samples:
                         pause, self._state, self._away = RETRY_S, "recording", False
-                        self._put(samples)
+                        told = [words for sample in samples for words in self._check.look(sample)]
+                        self._put([*samples, *self._doubted(told)])
             except SourceEndedError:
                 self._state = "ended"
                 break
@@ -199,6 +205,8 @@ class Lane:
                 self._close()
             self._clock.wait(self._stop, pause)
             pause = min(2 * pause, MOST_RETRY_S)
+        if doubted := self._doubted(self._check.judged()):
+            self._put(doubted)
         if self._stop.is_set():
             self._state = "stopped"
         self.opened.set()
@@ -209,6 +217,11 @@ class Lane:
             self._source.close()
         except Exception as error:  # noqa: BLE001 - as above
             self._error = str(error) or type(error).__name__
+
+    def _doubted(self, told: Sequence[str]) -> list[Sample]:
+        """Facts for the take of what is doubted of the source, if anything is."""
+        self.doubts += tuple(told)
+        return [Sample(None, self._clock.now_ns(), None, b"", (Facts(DOUBTS, {"words": list(told)}),))] if told else []
 
     def _put(self, samples: Sequence[Sample]) -> None:
         now_ns = self._clock.now_ns()

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import shutil
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cabinpose.core import CabinposeError, RecordingError
@@ -39,7 +39,8 @@ class RecorderStatus:
 class Outcome:
     """How a take ended: the counts of its sources, its files, their bytes, and the error that ended it, if one did.
 
-    started_ns, ended_ns: host time at which all sources were open, and at which they were asked to stop.
+    started_ns, ended_ns: host time at which all sources were open, and at which they were asked to stop · doubts: by source,
+    what speaks against its camera or bodies.
     """
 
     sources: tuple[SourceStatus, ...]
@@ -48,6 +49,7 @@ class Outcome:
     files: tuple[Path, ...]
     bytes_written: int
     error: CabinposeError | None
+    doubts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -109,7 +111,8 @@ class Recorder:
         self._clock.join(self._thread, float("inf"))
         counts = tuple(self._account(lane) for lane in self._lanes)
         error = next((lane.failure for lane in self._lanes if lane.failure is not None), self._error)
-        return Outcome(counts, self._started_ns, self._ended_ns, self._writer.files, self._writer.bytes_written, error)
+        doubts = {lane.name: lane.doubts for lane in self._lanes if lane.doubts}
+        return Outcome(counts, self._started_ns, self._ended_ns, self._writer.files, self._writer.bytes_written, error, doubts)
 
     def _halt_sources(self) -> None:
         for lane in self._lanes:

@@ -17,7 +17,9 @@ from .delay import Delay as Delay
 from .delay import DelaySearch as DelaySearch
 from .delay import estimate_delay as estimate_delay
 from .lags import WindowDelays as WindowDelays
+from .live_check import LiveCheck as LiveCheck
 from .recorded import ARRAYS as ARRAYS
+from .recorded import DOUBTS as DOUBTS
 from .recorded import F64 as F64
 from .recorded import FRAME_IMAGES as FRAME_IMAGES
 from .recorded import MOTOR_CHANNELS as MOTOR_CHANNELS

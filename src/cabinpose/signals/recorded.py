@@ -134,6 +134,9 @@ class Facts:
 SETUP: Final = "setup"
 """Facts on a camera's values are about it: by the name of each what was `asked`, what it is (`actual`), why it was `refused`."""
 
+DOUBTS: Final = "doubts"
+"""Facts on what the recorder doubted of a source while it ran are about it: `words`, a list."""
+
 # What a recording holds.
 Message: TypeAlias = SegmentPoses | SegmentKinematics | SensorReadings | JointAngles | Markers | ToFFrame | Channels | Facts
 

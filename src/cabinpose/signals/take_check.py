@@ -93,9 +93,16 @@ class TakeCheck:
         elif isinstance(message, Channels) and (source, "stream") in self._facts:
             self._streams.setdefault(source, array("q")).append(time_ns)
 
-    def bodies(self) -> tuple[TakenBody, ...]:
-        """Each body and thing, with what speaks against it."""
-        return tuple(self._body(source, kind, kept) for (source, kind, _), kept in self._kept.items() if kept.pairs)
+    def bodies(self, *, stamps: bool = True) -> tuple[TakenBody, ...]:
+        """Each body and thing, with what speaks against it; stamps: whether times, and speeds by them, are to be judged."""
+        kept = [(source, kind, looked) for (source, kind, _), looked in self._kept.items() if looked.pairs]
+        return tuple(self._body(source, kind, looked, stamps=stamps) for source, kind, looked in kept)
+
+    def renewed(self) -> TakeCheck:
+        """One that has seen no message and knows the same facts."""
+        other = TakeCheck()
+        other._facts = self._facts
+        return other
 
     def streams(self) -> tuple[tuple[str, Doubt], ...]:
         """What speaks against the stamps of streams of channels, by source."""
@@ -106,11 +113,14 @@ class TakeCheck:
             for doubt in stamp_doubts(times, rate)
         )
 
-    def _body(self, source: str, kind: str, kept: _Looked) -> TakenBody:
+    def _body(self, source: str, kind: str, kept: _Looked, *, stamps: bool) -> TakenBody:
         subject = kept.pairs[0][1].subject
         track = _track(kept, self._parents(source, subject))
         facts = self._about(source, subject)
-        doubts = (*body_doubts(track), *stamp_doubts(kept.time_ns, self._rate(source, subject)))
+        if stamps:
+            doubts = (*body_doubts(track), *stamp_doubts(kept.time_ns, self._rate(source, subject)))
+        else:
+            doubts = (*body_doubts(track._replace(speed_m_s=float("nan"))),)
         unit, up = (str(facts.get(name) or "") for name in ("unit_because", "up"))
         return TakenBody(source, subject, kind, len(kept.time_ns), body_size(track), unit, up, doubts)
 

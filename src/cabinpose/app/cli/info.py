@@ -163,6 +163,10 @@ def _print_recording(path: Path, *, as_json: bool) -> None:
     for body in found.bodies:
         for doubt in body.doubts:
             warnings.warn(f"{path}: {body.subject or body.source}: {doubt.words} ({doubt.hint})", stacklevel=2)
+    judged = {body.source for body in found.bodies if body.doubts}
+    for source in found.sources:
+        for words in source.doubts if source.name not in judged else ():
+            warnings.warn(f"{path}: {source.name}: {words}, as was said while it was recorded", stacklevel=2)
     if as_json:
         print_json(_as_data(found))
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -105,16 +106,20 @@ def _record(command: Record, rig: Rig, out: Path) -> int:
     recorder = begin(rig, out, clock)
     began = clock.now_s()
     until, warned = began + (command.duration or float("inf")), False
+    doubted: set[tuple[str, str]] = set()
     with asked_to_stop("ending the recording") as asked, panel(out, command.duration) as show:
         try:
             while recorder.running and clock.now_s() < until and not asked():
-                show(recorder.status())
+                status = recorder.status()
+                show(status)
+                _warn_of_doubts({lane.counts.source: lane.doubts for lane in status.lanes}, doubted)
                 if not warned and clock.now_s() - began > _FIRST_DATA_S:
                     warned = True
                     _warn_of_silence(recorder)
                 clock.sleep(min(_REFRESH_S, until - clock.now_s()))
         finally:
             outcome = recorder.stop()
+    _warn_of_doubts(outcome.doubts, doubted)
     totals = {s.source: dataclasses.asdict(s) for s in outcome.sources}
     if command.as_json:
         files = [str(file) for file in outcome.files]
@@ -133,6 +138,14 @@ def _warn_of_silence(recorder: Recorder) -> None:
     for lane in recorder.status().lanes:
         if lane.counts.first_ns is None and lane.counts.state != "ended":
             warnings.warn(f"{lane.counts.source} has sent no data since the take began", stacklevel=2)
+
+
+def _warn_of_doubts(doubts: Mapping[str, tuple[str, ...]], told: set[tuple[str, str]]) -> None:
+    """Warn of what sources are doubted for, each once; they are recorded all the same."""
+    for source, words in ((source, each) for source, of_it in doubts.items() for each in of_it):
+        if (source, words) not in told:
+            told.add((source, words))
+            warnings.warn(f"{source}: {words}", stacklevel=2)
 
 
 def _told_of_silence(outcome: Outcome, required: set[str]) -> int:

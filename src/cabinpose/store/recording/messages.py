@@ -26,7 +26,6 @@ from cabinpose.signals import (
     ARRAYS,
     F64,
     FRAME_IMAGES,
-    SETUP,
     TOPICS,
     Channels,
     Facts,
@@ -133,12 +132,11 @@ def decode_status(data: memoryview) -> SourceStatus:
         raise RecordingError(f"a record on status is no SourceStatus: {error}") from error
 
 
-def decode_setup(data: memoryview) -> Mapping[str, Any] | None:
-    """What facts say of the values that a camera was set to; None where they are of something else, or damaged."""
+def decode_facts(data: memoryview) -> Facts | None:
+    """Facts as a recording has them; None where they are damaged."""
     try:
         facts = json.loads(bytes(data))
-        values: Mapping[str, Any] = facts["values"]
-        return values if facts["about"] == SETUP and isinstance(values, dict) else None
+        return Facts(str(facts["about"]), facts["values"]) if isinstance(facts["values"], dict) else None
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import RecordingError
-from cabinpose.signals import TOPICS, Facts, Markers, SegmentPoses, TakeCheck, TakenBody
-from cabinpose.store.recording.messages import Decoder, decode_setup, decode_status
+from cabinpose.signals import DOUBTS, SETUP, TOPICS, Facts, Markers, SegmentPoses, TakeCheck, TakenBody
+from cabinpose.store.recording.messages import Decoder, decode_facts, decode_status
 from cabinpose.store.recording.reader import Place, Recording
 from cabinpose.store.recording.scan import Damage
 from cabinpose.store.recording.schemas import FACTS, RAW, STATUS, SourceStatus
@@ -45,7 +45,7 @@ class SourceSurvey:
     second · missing: numbers that the device used and the file lacks · gaps: (G, 2) s since the take's start, silences of more
     than three usual intervals and 0.1 s, from the take's start to its end (of a source that says that it has ended, to its last
     data) · jitter_ms: standard deviation of the intervals between arrivals · status: the last counts that were written, if any ·
-    setups: what a camera was set to, as its facts say, and anew whenever it changed.
+    setups: what a camera was set to, as its facts say, and anew whenever it changed · doubts: what the recorder doubted of it.
     """
 
     name: str
@@ -59,6 +59,7 @@ class SourceSurvey:
     gaps: NDArray[np.float64]
     status: SourceStatus | None
     setups: tuple[Mapping[str, Any], ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def survey(path: Path) -> Survey:
     data_times: dict[str, list[int]] = {}
     statuses: dict[str, SourceStatus] = {}
     counted: list[int] = []
-    setups: dict[str, list[Mapping[str, Any]]] = {}
+    told: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     topics: dict[str, tuple[str, list[int], list[int]]] = {}
     check = TakeCheck()
     with Recording(path, damaged="skip") as recording:
@@ -102,8 +103,8 @@ def survey(path: Path) -> Survey:
             elif place.topic == STATUS:
                 statuses[place.source] = decode_status(data)
                 counted.append(place.host_ns)
-            elif place.topic == FACTS and (setup := decode_setup(data)) is not None:
-                setups.setdefault(place.source, []).append(setup)
+            elif place.topic == FACTS and (facts := decode_facts(data)) is not None:
+                told.setdefault((place.source, facts.about), []).append(facts.values)
             if place.topic not in (STATUS, RAW, FACTS) or (place.topic == RAW and place.sequence is not None):
                 data_times.setdefault(place.source, []).append(place.host_ns)
         take, started, damage, names = recording.take, recording.head.started_ns, recording.damage, recording.sources
@@ -119,8 +120,9 @@ def survey(path: Path) -> Survey:
         status, came = statuses.get(name), times.get(name, [])
         data_came = data_times.get(name, came if status is None else [])  # of a file of other tools, events may be all there is
         of_it = _source(name, came, data_came, numbers.get(name, []), status, (first, last))
-        changes = tuple(values for values, _ in groupby(setups.get(name, ())))
-        sources.append(replace(of_it, setups=changes))
+        changes = tuple(values for values, _ in groupby(told.get((name, SETUP), ())))
+        doubts = tuple(str(words) for values in told.get((name, DOUBTS), ()) for words in values.get("words") or ())
+        sources.append(replace(of_it, setups=changes, doubts=doubts))
     listed = tuple(TopicSurvey(t, schema, len(at), sum(sizes), _rate(at)) for t, (schema, at, sizes) in sorted(topics.items()))
     return Survey(path, take, size, first, (last - first) / 1e9, tuple(sources), listed, damage, check.bodies())
 
