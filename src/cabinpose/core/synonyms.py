@@ -48,8 +48,9 @@ KEYS = by_word(
         "people.subjects, people.own": "person persons human subject subject_id ids",
         "people.random.count": "num_people n_people num_persons people_count n_subjects",
         # cameras
-        "camera.fx": "fov hfov vfov fov_deg field_of_view angle_x camera_angle_x lens focal "
-        "focal_length focal_length_px f fovx fovy",
+        "camera.fov_deg": "fov hfov vfov field_of_view angle_x camera_angle_x angle fovx fov_x hfov_deg h_fov horizontal_fov",
+        "camera.vfov": "fovy fov_y vfov_deg v_fov vertical_fov angle_y camera_angle_y",
+        "camera.fx": "lens focal focal_length focal_length_px f",
         "sensor.camera, lens": "intrinsics camera_matrix k camera_k camera_info camera_intrinsics mtx cameramatrix intrinsic",
         "camera.dist, lens.dist": "distortion dist_coeffs distcoeffs d k1 k2 distortion_coefficients coeffs",
         "camera.width, width": "resolution image_size imgsz image_width res resolution_x img_size size",

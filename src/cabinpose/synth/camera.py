@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.scene.sensor import SENSORS, Sensor, sensor_by_name
@@ -15,6 +15,22 @@ from cabinpose.synth.people import Model, Probability
 Vector = tuple[float, float, float]
 
 
+_FARTHEST_M, _FARTHEST_CM = 20.0, 250.0  # from the origin of a car or a room; in centimetres a place in a car is within 2.5 m
+
+
+def _in_metres(place: Vector, whose: str) -> Vector:
+    """The place itself; ConfigError where it can only be in millimetres or centimetres. whose: what the message calls it."""
+    farthest = max(map(abs, place))
+    if farthest <= _FARTHEST_M:
+        return place
+    unit, factor = ("millimetres", 1e-3) if farthest > _FARTHEST_CM else ("centimetres", 1e-2)
+    metres = ", ".join(f"{factor * x:.6g}" for x in place)
+    raise ConfigError(
+        f"{whose}: [{', '.join(f'{x:g}' for x in place)}] is {farthest:g} m away, so probably in {unit}",
+        hint=f"places are metres: [{metres}]",
+    )
+
+
 class CameraPose(Model):
     """A camera pose of the user's own, in the vehicle frame (room: world frame)."""
 
@@ -22,11 +38,22 @@ class CameraPose(Model):
     look_at_m: Vector
     roll_deg: float = 0.0
 
+    @field_validator("position_m", "look_at_m")
+    @classmethod
+    def _in_metres(cls, place: Vector, info: ValidationInfo) -> Vector:
+        return _in_metres(place, str(info.field_name))
+
 
 class ExactCameraPose(Model):
     """A camera pose as `cabinpose config frame` writes it, to the last bit."""
 
     vehicle_from_camera: Matrix4
+
+    @field_validator("vehicle_from_camera")
+    @classmethod
+    def _in_metres(cls, matrix: Matrix4) -> Matrix4:
+        _in_metres((matrix[0][3], matrix[1][3], matrix[2][3]), "the last column of vehicle_from_camera")
+        return matrix
 
     @property
     def position_m(self) -> Vector:

@@ -14,30 +14,36 @@ from collections.abc import Mapping
 from fractions import Fraction
 from math import radians
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cabinpose.core import Camera, ConfigError, Registry, check_camera, check_image_circle
+from cabinpose.scene.sensor.lens_keys import LensKeys, lens_of_keys
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Ratios of two frequencies beyond this leave less than 1/20 of a turn for the noise of each phase.
 _LARGEST_RATIO = 12
 READOUT_S = 0.96e-3  # of half the pixels at half of 80 MHz: the thesis' equation 4.1, of the EVK75123; assumed for the others
+_TOLD_ELSEWHERE = ("name", "principle", "baseline_m", "native_scale")  # and what only structured light has
 
 
 class Sensor(BaseModel):
-    """A depth camera: lens, timing, and the figures of its pixels."""
+    """A depth camera: lens, timing, and the figures of its pixels. What is left out is as in a Pico Monstar's use case 4."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str = Field(min_length=1, description="Name that the dataset records.")
+    name: str = Field(default="own_camera", min_length=1, description="Name that the dataset records.")
     principle: Literal["time_of_flight", "structured_light"] = Field(
         default="time_of_flight", description="How depth is measured."
     )
-    camera: Camera = Field(description="Intrinsics: width, height, fx, fy, cx, cy (px) and dist (k1, k2, p1, p2, k3).")
-    range_m: tuple[float, float] = Field(description="Dead zone and saturation: nearest and farthest distance delivered (m).")
-    integration_s: float = Field(gt=0, description="Exposure of one correlation sample (s).")
+    camera: Annotated[Camera, BeforeValidator(lens_of_keys, json_schema_input_type=LensKeys)] = Field(
+        description="Intrinsics: width, height, fx, fy, cx, cy (px) and dist (k1, k2, p1, p2, k3); fov_deg for fx and fy."
+    )
+    range_m: tuple[float, float] = Field(
+        default=(0.3, 2.0), description="Dead zone and saturation: nearest and farthest distance delivered (m)."
+    )
+    integration_s: float = Field(default=450e-6, gt=0, description="Exposure of one correlation sample (s).")
     second_integration_s: float | None = Field(
         default=None,
         gt=0,
@@ -50,9 +56,11 @@ class Sensor(BaseModel):
         exclude_if=lambda value: value == READOUT_S,
         description="Time between the exposures of two correlation samples (s).",
     )
-    fps: float = Field(gt=0, description="Frames per second.")
+    fps: float = Field(default=25.0, gt=0, description="Frames per second.")
     frequencies_hz: tuple[Annotated[float, Field(gt=1e5, lt=1e9)], ...] = Field(
-        default=(), max_length=2, description="Modulation frequencies (Hz): one, or two in the ratio of small integers."
+        default_factory=lambda given: () if given.get("principle") == "structured_light" else (80e6, 60e6),
+        max_length=2,
+        description="Modulation frequencies (Hz): one, or two in the ratio of small integers.",
     )
     contrast: float = Field(default=0.75, gt=0, le=1, description="Demodulation contrast K of the pixel.")
     signal_e_per_s: float = Field(
@@ -110,6 +118,13 @@ class Sensor(BaseModel):
                     f"sensor '{self.name}': frequencies in the ratio {ratio[0]}:{ratio[1]} do not unwrap",
                     hint=f"choose two that differ and are in a ratio of integers up to {_LARGEST_RATIO}, such as 80e6 and 60e6",
                 )
+
+    @property
+    def assumed(self) -> Mapping[str, Any]:
+        """The fields that were not given and are in force all the same, with their values."""
+        fields = type(self).model_fields.items()
+        left_out = [name for name, field in fields if name not in self.model_fields_set and field.exclude_if is None]
+        return {name: value for name in left_out if name not in _TOLD_ELSEWHERE and (value := getattr(self, name)) is not None}
 
     @property
     def signal_e(self) -> float:
