@@ -353,6 +353,13 @@ def test_camera_is_moved(editor: SceneEditor, preview: Preview) -> None:
     assert camera_of(draw(preview, editor))[0] == [0.9, 0.1, 1.3]
 
 
+def test_a_place_from_which_little_is_seen_is_told(editor: SceneEditor, preview: Preview) -> None:
+    shown = draw(preview, editor)
+    assert shown.doubts == ()
+    editor.move_camera(shown, position=(0.4, 0.0, 1.1), target=(-1.0, 0.0, 0.6))
+    assert "it looks at the seats through glass" in "; ".join(draw(preview, editor).doubts)
+
+
 def test_camera_before_a_face_is_told(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
     editor, shown = accepted
     driver = next(person for person in shown.scene.people if person.slot == "driver")

@@ -28,6 +28,8 @@ from .people import OwnPerson as OwnPerson
 from .people import People as People
 from .people import RandomPeople as RandomPeople
 from .people import Range as Range
+from .place import PlaceReport as PlaceReport
+from .place import judge_place as judge_place
 from .preflight import preflight as preflight
 from .profiles import GaussianAxis as GaussianAxis
 from .profiles import GaussianProfile as GaussianProfile
@@ -55,3 +57,5 @@ from .validate import Verdict as Verdict
 from .validate import most_common as most_common
 from .variables import Frame as Frame
 from .variables import build_manifest as build_manifest
+from .views import ViewReport as ViewReport
+from .views import views_seen as views_seen

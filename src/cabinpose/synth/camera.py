@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from cabinpose.core import ConfigError, unknown_name
@@ -115,3 +116,9 @@ class Camera(Model):
     def sensor_model(self) -> Sensor:
         """The sensor itself, where `sensor` may only name it."""
         return self.sensor if isinstance(self.sensor, Sensor) else SENSORS[self.sensor]
+
+    @property
+    def taken(self) -> str:
+        """The fields of an own sensor that were not given, with what is taken for them, in words; empty where there are none."""
+        given = self.sensor.assumed if isinstance(self.sensor, Sensor) else {}
+        return ", ".join(f"{name} {' '.join(f'{x:g}' for x in np.atleast_1d(value))}" for name, value in given.items())

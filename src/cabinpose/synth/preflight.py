@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 from collections.abc import Iterator
@@ -20,20 +21,34 @@ from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.people import People
 from cabinpose.synth.pictures.path_tracing import mitsuba
+from cabinpose.synth.place import PlaceReport, judge_place
 from cabinpose.synth.plan import Plan
 from cabinpose.synth.posture import ACTIONS, actions_for
 from cabinpose.synth.posture.actions import suits
+from cabinpose.synth.streams import frame_rng
 from cabinpose.synth.subjects import Subjects
 from cabinpose.synth.things import check_size, weights_of
-from cabinpose.synth.viewpoint import LENS_M
+from cabinpose.synth.viewpoint import LENS_M, draw_viewpoint
 
 # Bytes that a run takes: people and cars; for each sample (a part of a pixel) once, and for each worker; for each pixel of one.
 _BASE_BYTES, _SAMPLE_BYTES, _WORKER_SAMPLE_BYTES, _PIXEL_BYTES = 200e6, 43, 7, 105
 
 
-def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> None:
-    """Raises for what a run of `frames` frames by some threads would fail of: ConfigError, MocapError, ModelError, SceneError,
-    and DependencyError where Mitsuba or torch is needed and missing. Warns of open meshes.
+def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> tuple[PlaceReport, ...]:
+    """What would fail in a run of `frames` frames by some threads, and what its cameras see from places of the user's own.
+
+    Returns
+    -------
+    tuple of PlaceReport
+        Of each view of the user's own in each car that is named, and of all views of own meshes; of the package's views in the
+        first car where the sensor is the user's own. Their doubts have been warned of, as open meshes are.
+
+    Raises
+    ------
+    ConfigError, MocapError, ModelError, SceneError
+        For what would fail.
+    DependencyError
+        Where Mitsuba or torch is needed and missing.
     """
     scene = config.scene
     _check_memory(config, workers)
@@ -55,16 +70,26 @@ def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> None:
     plan = Plan(config, 0)
     bodies = {who: plan.subjects.body(who)[0] for who in (*config.people.own, *known.values())}
     if isinstance(scene, RoomScene):
-        return
+        return ()
     for slot, who in known.items():
         for kind in weights_of(scene.child_seats.get(slot, {}), ()):
             check_size(who, bodies[who].stature_m or 0.0, kind)
     if scene.factorial is not None and scene.factorial.seat == "driver":
         _check_drivers(config.people, plan.subjects)
+    reports: list[PlaceReport] = []
     for car in _cars_in_doubt(config, scene, plan):
         _check_seats(scene, car)
         _check_actions(scene, car)
         _check_views(config, car)
+        reports += _judged_views(config, car)
+    if not reports and not isinstance(config.camera.sensor, str) and scene.cars:
+        first = scene.cars[0]
+        cabin = open_cabin(first.dimensions if isinstance(first, ChangedPreset) else first, "left")
+        reports += _judged_views(config, _Car(cabin.name, cabin, (), ours=False))
+    for report in reports:
+        if report.doubts:
+            warnings.warn(f"view '{report.view}' in {report.car}: {'; '.join(report.doubts)}", stacklevel=2)
+    return tuple(reports)
 
 
 def _check_memory(config: SynthConfig, workers: int) -> None:
@@ -199,3 +224,12 @@ def _check_views(config: SynthConfig, car: _Car) -> None:
                 f"{car.name}: the camera of view '{name}' at {eye.round(3).tolist()} m stands inside the car's parts",
                 hint="move it into the free space of the cabin",
             )
+
+
+def _judged_views(config: SynthConfig, car: _Car) -> Iterator[PlaceReport]:
+    """What the camera sees of a car from each view that is not the package's own."""
+    camera = config.camera.model_copy(update={"jitter_m": 0.0, "jitter_deg": 0.0})
+    for name in camera.weights:
+        if not (car.ours and isinstance(camera.views[name], float)):
+            pose = draw_viewpoint(camera, car.cabin, name, rng=frame_rng(0, 0)).vehicle_from_camera
+            yield dataclasses.replace(judge_place(car.cabin, name, pose, camera.sensor_model, config.noise), car=car.name)

@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from math import atan, degrees, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from cabinpose.app.cli.arguments import DatasetArgument, PrintsJson, one_of, several
-from cabinpose.app.cli.output import print_json, print_rows, progress
+from cabinpose.app.cli.output import print_json, print_rows, print_table, progress
 from cabinpose.core import ConfigError, check_output, write_whole
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from cabinpose.synth import SynthConfig
+    from cabinpose.scene.sensor import Sensor
+    from cabinpose.synth import PlaceReport, SynthConfig
 
 _TRIED_FRAMES = 3  # scenes that `config check` draws
 _NewFile = Annotated[Positional[Path | None], several("FILE")]
@@ -55,15 +57,29 @@ class ConfigFrame:
     """File to write; default: stdout."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ConfigViews(PrintsJson):
+    """Print the places for cameras that a car has, and what each sees of people: shares of heads, hands and seats."""
+
+    car: Annotated[Positional[str], arg(metavar="CAR")]
+    """A preset, or the YAML of a car of your own."""
+    sensor: str = "pico_monstar_105/5"
+    """The camera: a preset."""
+    frames: int = 20
+    """Scenes that are drawn; all places see the same."""
+    seed: int = 0
+    """Seed of the scenes."""
+
+
 @dataclass(frozen=True)
 class ConfigSchema:
     """Print the JSON Schema of the configuration, for editors and validators."""
 
 
-COMMAND = one_of(init=ConfigInit, check=ConfigCheck, frame=ConfigFrame, schema=ConfigSchema)
+COMMAND = one_of(init=ConfigInit, check=ConfigCheck, frame=ConfigFrame, views=ConfigViews, schema=ConfigSchema)
 
 
-def run(command: ConfigInit | ConfigCheck | ConfigFrame | ConfigSchema) -> None:
+def run(command: ConfigInit | ConfigCheck | ConfigFrame | ConfigViews | ConfigSchema) -> None:
     """Write, check or describe a configuration."""
     from cabinpose.synth import SynthConfig, room_preset
 
@@ -73,6 +89,8 @@ def run(command: ConfigInit | ConfigCheck | ConfigFrame | ConfigSchema) -> None:
         _check(command, SynthConfig.load(command.file, command.overrides))
     elif isinstance(command, ConfigFrame):
         _write(_frame_yaml(command), command.file)
+    elif isinstance(command, ConfigViews):
+        _views(command)
     else:
         print(json.dumps(SynthConfig.model_json_schema(), indent=2))
 
@@ -115,11 +133,12 @@ def _check(command: ConfigCheck, config: SynthConfig) -> None:
 
     with progress() as report:
         report.phase("trying scenes")
-        preflight(config, frames=1)
+        places = preflight(config, frames=1)
         sampler = SceneSampler(config, 0)
         tried = sum(sampler.sample(index, rng=frame_rng(0, index)).proposals for index in range(_TRIED_FRAMES))
     if command.as_json:
-        print_json({"file": str(command.file), "valid": True, "poses_tried": tried, "config": config.model_dump(mode="json")})
+        told = {"file": str(command.file), "valid": True, "poses_tried": tried, "places": [asdict(place) for place in places]}
+        print_json(told | {"taken": config.camera.taken, "config": config.model_dump(mode="json")})
         return
     print(f"{command.file} is valid: {_TRIED_FRAMES} frames found their scene in {tried} poses")
     scene, people = config.scene, config.people
@@ -131,11 +150,58 @@ def _check(command: ConfigCheck, config: SynthConfig) -> None:
     in_cars = f"cabin, cars {' and '.join(filter(None, (cars, drawn)))}"
     rows += [
         ("scene", in_cars if scene.kind == "cabin" else f"room, {scene.rooms} of them"),
-        ("camera", f"{config.camera.sensor}, views {', '.join(config.camera.views)}"),
+        ("camera", f"{_sensor_words(config.camera.sensor)}, views {', '.join(config.camera.views)}"),
+        *([("not given", f"{config.camera.taken} (as a Pico Monstar)")] if config.camera.taken else ()),
+        *((f"view {p.view}", f"{p.car}: {100 * p.valid:.0f} % of the pixels valid, {_seats(p)}") for p in places),
         ("people", ", ".join(f"{count} {kind}" for count, kind in kinds if count)),
         ("noise", config.noise.kind),
     ]
     print_rows(rows)
+
+
+def _views(command: ConfigViews) -> None:
+    """Draw scenes in a car and look at them from its places."""
+    from cabinpose.scene.sensor import sensor_by_name
+    from cabinpose.synth import check_seed, views_seen
+
+    if command.frames < 1:
+        raise ConfigError(f"cannot look at {command.frames} scenes", hint="give --frames of 1 or more")
+    check_seed(command.seed)
+    sensor = sensor_by_name(command.sensor)
+    with progress(command.frames, "scenes") as report:
+        views = views_seen(command.car, sensor, frames=command.frames, seed=command.seed, progress=report)
+    if command.as_json:
+        told = [
+            {
+                "view": view.place.view, "position_m": view.anchor.eye.tolist(), "look_at_m": view.anchor.target.tolist(),
+                "valid": view.place.valid, "people": view.people, "heads": view.heads, "hands": view.hands, "seats": view.seats,
+            }
+            for view in views
+        ]  # fmt: skip
+        print_json({"car": command.car, "sensor": sensor.name, "frames": command.frames, "seed": command.seed, "views": told})
+        return
+    slots = list(views[0].seats) if views else []
+    table = [["view", "position_m", "look_at_m", "pixels", "heads", "hands", *slots]]
+    for view in views:
+        shares = (view.place.valid, view.heads, view.hands, *view.seats.values())
+        places = (f"[{', '.join(f'{x:.2f}' for x in place)}]" for place in (view.anchor.eye, view.anchor.target))
+        table.append([view.place.view, *places, *("–" if isnan(share) else f"{100 * share:.0f} %" for share in shares)])
+    print_table(table, words=(0, 1, 2))
+
+
+def _sensor_words(sensor: str | Sensor) -> str:
+    """A sensor's name, of an own one its lens as well."""
+    if isinstance(sensor, str):
+        return sensor
+    lens = sensor.camera
+    across, down = (2 * degrees(atan(size / 2 / focal)) for size, focal in ((lens.width, lens.fx), (lens.height, lens.fy)))
+    dist = f" dist {' '.join(f'{x:g}' for x in lens.dist)}" if lens.is_distorted else ""
+    numbers = f"fx {lens.fx:.5g} fy {lens.fy:.5g} cx {lens.cx:.5g} cy {lens.cy:.5g}{dist}"
+    return f"{sensor.name} ({lens.width}x{lens.height} px, {across:.3g}° x {down:.3g}°, {numbers})"
+
+
+def _seats(place: PlaceReport) -> str:
+    return f"seats seen: {', '.join(place.seen)}" if place.seen else "no seat seen"
 
 
 def commented_yaml(model: BaseModel) -> str:

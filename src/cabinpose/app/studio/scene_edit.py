@@ -36,6 +36,7 @@ from cabinpose.synth import (
     exact_scene,
     frame_rng,
     is_car_file,
+    judge_place,
     noise_rng,
     without_defaults,
 )
@@ -63,7 +64,7 @@ class Shown:
     """A scene as it was drawn, with the frame that its camera delivers.
 
     verdicts: why it does not hold, () where it does · error: why none was found; then scene and frame are those before ·
-    seconds: what that took, by stage.
+    doubts: what speaks against the camera's place · seconds: what that took, by stage.
     """
 
     number: int
@@ -72,6 +73,7 @@ class Shown:
     frame: Frame
     verdicts: tuple[Verdict, ...] = ()
     error: str = ""
+    doubts: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -339,9 +341,10 @@ class Preview:
             scene, verdicts, error = self._scene(sampler, config, seed, index)
             posed = time.perf_counter()
             frame = FrameMaker(config, seed, sampler, pictures=False).see(scene, rng=noise_rng(seed, index))
+            doubts = _place_doubts(config, scene)
         seconds = {"pose": posed - started, "see": time.perf_counter() - posed}
         self._number += 1
-        self.shown = Shown(self._number, config, scene, frame, verdicts, error, seconds)
+        self.shown = Shown(self._number, config, scene, frame, verdicts, error, doubts, seconds)
         return self.shown
 
     def _scene(self, sampler: SceneSampler, config: SynthConfig, seed: int, index: int) -> tuple[Scene, tuple[Verdict, ...], str]:
@@ -358,6 +361,14 @@ class Preview:
             if self.shown is None or not isinstance(error, SceneError):
                 raise
             return self.shown.scene, (), error.in_one_line()
+
+
+def _place_doubts(config: SynthConfig, scene: Scene) -> tuple[str, ...]:
+    """What speaks against the camera's place in a car."""
+    if scene.cabin is None:
+        return ()
+    camera = config.camera.sensor_model
+    return judge_place(scene.cabin, scene.pov, scene.world_from_camera, camera, config.noise, scene.settings).doubts
 
 
 def _must(words: str) -> str:
