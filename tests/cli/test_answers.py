@@ -160,7 +160,7 @@ ANSWERS = [
     ("Synth", "cabinpose synth"),
     ("config validate t.yaml", "did you mean check?"),
     ("config checc t.yaml", "did you mean check?"),
-    ("config", "init, check, frame, schema"),
+    ("config", "init, check, frame, views, schema"),
     ("car t.glb", "init, check"),
     ("bench gpu", "synth, detect, record"),
     # flags
