@@ -97,6 +97,7 @@ class Made:
     camera: str = ""  # serial number
     rig: str = ""
     station: str = ""  # of the suit, as MVN's meta data say it
+    optical: tuple[Facts, ...] = ()  # what the optical system says of itself
     second: str = ""  # the source of a second person's suit
     host: dict[str, str] = field(default_factory=dict)
     car: str = "sedan"
@@ -142,9 +143,10 @@ class Made:
             if self.second:
                 second = second_in_world(time)[:, MVN_SEGMENTS.index("Head")]
                 heads.append(("head2", *_split(second @ invert(OBJECT_FROM_HEAD))))
-            return [
+            poses = [
                 tuple(SegmentPoses(name, ("head",), p[k, None], q[k, None]) for name, p, q in heads) for k in range(len(time))
             ]
+            return [(*self.optical, *poses[0]), *poses[1:]]
         suits = []
         if source == "suit":
             moved = SUIT_FROM_WORLD @ segments_in_world(np.zeros_like(time) if self.suit_still else time)

@@ -34,6 +34,7 @@ from cabinpose.core import (
 )
 from cabinpose.estimate import JointPredictor
 from cabinpose.scene.sensor import SENSORS, Sensor
+from cabinpose.signals import Facts
 from cabinpose.store import Manifest, PartWriter, Source, create_dataset, import_source, open_dataset
 from cabinpose.store.convert.ntu import KINECT_V2
 
@@ -385,6 +386,39 @@ def test_a_take_is_compared_with_the_calibrated_rig_and_suit(
 ) -> None:
     path = tmp_path / "take.mcap"
     rig_takes.Made(seconds=6, **taken).write(path)
-    warned = [text for text in align_takes([path], rig_takes.calibration(equipment=calibrated)).warnings if "rig or suit" in text]
+    warned = [text for text in align_takes([path], rig_takes.calibration(equipment=calibrated)).warnings if "another rig" in text]
     assert len(warned) == (said is not None)
-    assert all(text.startswith("take.mcap: recorded with another rig or suit") and f"({said})" in text for text in warned)
+    assert all(text.startswith("take.mcap: recorded with another rig, suit") and f"({said})" in text for text in warned)
+
+
+RATE, MARKERS = "frames a second of the optical system", "markers of head"
+OPTICAL = {"optical system": "10.0.0.5:801", RATE: "100", MARKERS: "front left right"}
+
+
+def vicon(address: str = "10.0.0.5:801", rate_hz: float = 100.0, markers: str = "left front right") -> list[Facts]:
+    """What Vicon's server says of itself, as its source records it."""
+    return [
+        Facts("server", {"types": [1], "address": address} if address else {"types": [1]}),
+        Facts("stream", {"frame_rate_hz": rate_hz, "server_up": "z"}),
+        Facts("subject head", {"id": 1, "markers": [{"name": name, "segment": "head"} for name in markers.split()]}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("taken", "said"),
+    [
+        (vicon(), []),
+        (vicon(""), []),
+        ([], []),
+        (vicon("10.0.0.6:801"), ["optical system: 10.0.0.5:801 then, 10.0.0.6:801 now"]),
+        (vicon(rate_hz=200.0), ["frames a second of the optical system: 100 then, 200 now"]),
+        (vicon(markers="a b c d"), ["markers of head: front left right then, a b c d now"]),
+        ([Facts("stream", {"name": "optical", "source_id": "of-lab-B"})], ["optical system: 10.0.0.5:801 then, of-lab-B now"]),
+    ],
+    ids=["the same", "of this computer", "a take that says nothing", "another server", "another rate", "another cap", "a stream"],
+)
+def test_a_take_is_compared_with_the_calibrated_optical_system(tmp_path: Path, taken: list[Facts], said: list[str]) -> None:
+    path = tmp_path / "take.mcap"
+    rig_takes.Made(seconds=6, optical=tuple(taken)).write(path)
+    warned = [text for text in align_takes([path], rig_takes.calibration(equipment=OPTICAL)).warnings if "optical system" in text]
+    assert [f"({each})" in text for each, text in zip(said, warned, strict=True)] == [True] * len(said)

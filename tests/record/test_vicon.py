@@ -118,6 +118,15 @@ def test_the_server_says_once_what_holds() -> None:
     assert sum(len(of(sample, Facts)) for sample in samples) == 4
     assert facts["stream"]["frame_rate_hz"] == 200.0
     assert facts["stream"]["server_up"] == "z"
+    assert "address" not in facts["server"]  # of this computer
+
+
+@pytest.mark.usefixtures("one_clock")
+def test_a_server_on_another_computer_is_known_by_its_address() -> None:
+    with ViconEmulator(motion(), ViconEmulatorSettings(host="127.0.0.2")) as emulator:
+        with opened(emulator, host="127.0.0.2") as source:
+            samples = read_until(source, at_least(2))
+        assert {"address": f"127.0.0.2:{emulator.address[1]}"}.items() <= of(samples[0], Facts)[0].values.items()
     segments = {row["name"]: row["parent"] for row in facts["subject S01"]["segments"]}
     assert segments["LowerBack"] is None
     assert segments["L_Elbow"] == "L_Humerus"

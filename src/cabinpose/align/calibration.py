@@ -159,7 +159,7 @@ class Calibration(_Model):
     )
     camera: Annotated[str, Field(description="vendor, model and serial number, where the camera states them")] = ""
     equipment: Annotated[
-        dict[str, str], Field(description="what the takes say of the rig: its name, and the station of each suit")
+        dict[str, str], Field(description="what the takes say of the rig: its name, the station of each suit, the optical system")
     ] = Field(default_factory=dict)
     heads: Annotated[dict[str, Head], Field(description="by subject code")] = Field(default_factory=dict)
     vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands, if known")] = None
@@ -219,13 +219,13 @@ class Calibration(_Model):
 
 
 def other_equipment(calibrated: Mapping[str, str], told: Mapping[str, str]) -> list[str]:
-    """What a take says of its rig and suits (`streams.equipment`) that is other than what the calibration knows.
+    """What a take says of its rig, suits and optical system (`streams.equipment`) that is other than what the calibration knows.
 
     What either does not know is no difference.
     """
     both = sorted(calibrated.keys() & told.keys())
     changed = [f"{what}: {calibrated[what]} then, {told[what]} now" for what in both if calibrated[what] != told[what]]
-    how = "recorded with another rig or suit than was calibrated, or after a change: calibrate it, or name its own calibration"
+    how = "recorded with another rig, suit or optical system than was calibrated, or after a change: name its own calibration"
     return [f"{how} ({'; '.join(changed)})"] if changed else []
 
 

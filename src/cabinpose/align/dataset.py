@@ -159,7 +159,7 @@ def align_takes(
             people = [align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=correct_pose) for code in codes]
             with naming(recording, "the camera"):
                 doubt = calibration.check_camera(camera_identity(recording, calibration.names.tof))
-            told = equipment(recording, calibration.suits(codes))
+            told = equipment(recording, calibration.names, calibration.suits(codes))
             doubts = [*([doubt] if doubt else []), *calibration.differences(recording.head.host)]
             doubts += other_equipment(calibration.equipment, told)
             warnings += [f"{path.name}: {what}" for what in doubts]

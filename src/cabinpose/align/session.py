@@ -129,7 +129,7 @@ def calibrate(session: Session) -> Calibrated:
     names = session.names
     with _opened(session.board_take) as recording:
         views = board_views(recording, names, session.board)
-        identity, used = camera_identity(recording, names.tof), equipment(recording, {})
+        identity, used = camera_identity(recording, names.tof), equipment(recording, names, {})
         with naming(recording, "the camera"):
             found, warnings = believed(
                 session.board, views, lambda board, seen: placed(session.model_copy(update={"board": board}), seen)
@@ -144,7 +144,7 @@ def calibrate(session: Session) -> Calibrated:
                 hint="record board and pendulum with one camera",
             )
         host = recording.head.host
-        told = equipment(recording, {})
+        told = equipment(recording, names, {})
         warnings += [f"{session.pendulum_take.name}: {what}" for what in other_equipment(used, told)]
         used = told | used
     heads, hosts, trackers = {}, {}, {}
@@ -154,7 +154,7 @@ def calibrate(session: Session) -> Calibrated:
             heads[code] = _head(recording, names, code, subject)
             trackers[code] = _tracker(recording, names, subject)
             hosts[subject.take.name] = recording.head.host
-            told = equipment(recording, {code: subject.suit or names.suit})
+            told = equipment(recording, names, {code: subject.suit or names.suit})
             warnings += [f"{subject.take.name}: {what}" for what in other_equipment(used, told)]
             used = told | used
     calibration = Calibration(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose.align.calibration import Names
 from cabinpose.align.clocks import host_from_device
 from cabinpose.core import AlignmentError, RecordingError
 from cabinpose.signals import Facts, ToFFrame
@@ -58,18 +59,43 @@ def camera_identity(recording: Recording, source: str) -> str:
     return ""
 
 
-def equipment(recording: Recording, suits: Mapping[str, str]) -> dict[str, str]:
-    """What a take says of its rig beside the camera: its name for the rig, and of each suit the station (MVN's XMID).
+def equipment(recording: Recording, names: Names, suits: Mapping[str, str]) -> dict[str, str]:
+    """What a take says of its rig beside the camera; what is not said is left out.
 
-    suits: source of each subject's, by code. What is not said is left out.
+    Its name for the rig; of each suit the station (MVN's XMID); of the optical system the address of its server (Vicon) or the id
+    of its stream (LSL), its rate, and the markers of the object on the head.
+
+    suits: source of each subject's, by code.
     """
     told = {"rig": recording.take.rig} if recording.take.rig else {}
+    told |= _optical_system(_first_facts(recording, names.optical), names.head_object)
     for code, source in suits.items():
-        samples = (sample for _, sample in islice(recording.samples([source]), _FIRST_SAMPLES))
-        facts = (message for sample in samples for message in sample.messages if isinstance(message, Facts))
-        station = next((str(fact.values["xmid"]) for fact in facts if fact.values.get("xmid")), "")
-        if station:
+        stations = (str(fact.values["xmid"]) for fact in _first_facts(recording, source) if fact.values.get("xmid"))
+        if station := next(stations, ""):
             told[f"suit of {code}"] = station
+    return told
+
+
+def _first_facts(recording: Recording, source: str) -> Iterator[Facts]:
+    """What a source says of itself at the beginning of a take; nothing where it was not recorded."""
+    samples = islice(recording.samples([source]), _FIRST_SAMPLES) if source in recording.sources else ()
+    return (message for _, sample in samples for message in sample.messages if isinstance(message, Facts))
+
+
+def _optical_system(facts: Iterable[Facts], head_object: str) -> dict[str, str]:
+    """What an optical system says of itself, by what it is called in `equipment`; the first that is said of each."""
+    told: dict[str, str] = {}
+    for about, values in ((fact.about, fact.values) for fact in facts):
+        if about == "server" and (address := str(values.get("address") or "")):
+            told.setdefault("optical system", address)
+        elif about == "stream":
+            if stream := str(values.get("source_id") or ""):
+                told.setdefault("optical system", stream)
+            if isinstance(rate := values.get("frame_rate_hz") or values.get("rate_hz"), int | float):
+                told.setdefault("frames a second of the optical system", f"{rate:.6g}")
+        elif about == f"subject {head_object}" and isinstance(markers := values.get("markers"), list):
+            named = (str(each.get("name")) for each in markers if isinstance(each, Mapping))
+            told.setdefault(f"markers of {head_object}", " ".join(sorted(named)))
     return told
 
 

@@ -37,6 +37,7 @@ _PINGS_KEPT = 16
 _ASK_AGAIN_S = 1.0  # pull mode: an answer that does not come is asked for again
 _SLICE_S = 0.1  # the longest wait before timers are looked at
 _RECEIVE = 1 << 18
+_THIS_COMPUTER = ("127.0.0.1", "localhost", "::1")
 _BASE = frozenset(
     {
         Type.STREAM_INFO, Type.SUBJECT_INFO, Type.SUBJECT_TOPOLOGY, Type.APPLICATION_INFO, Type.FRAME_INFO, Type.LATENCY_INFO,
@@ -120,6 +121,12 @@ class ViconSource(DeviceSource[ViconSettings]):
     def network_s(self) -> float:
         """Half of a ping's round trip, median of the last ones; NaN before the first."""
         return statistics.median(self._trips_s) / 2 if self._trips_s else math.nan
+
+    @property
+    def _address(self) -> dict[str, str]:
+        """Where the server is, by which it is known again; nothing of one on this computer."""
+        host, port = self.settings.host, self.settings.port
+        return {} if host in _THIS_COMPUTER else {"address": f"{host}:{port}"}
 
     def _missing(self) -> Sequence[str]:
         return self._listened(2.0)
@@ -265,7 +272,7 @@ class ViconSource(DeviceSource[ViconSettings]):
         messages: list[Message] = []
         if packet.enums is not None:
             self._answer(packet.enums)
-            messages.append(Facts("server", {"types": sorted(packet.enums)}))
+            messages.append(Facts("server", {"types": sorted(packet.enums), **self._address}))
         sent_ns = self._pings.pop(packet.ping, None) if packet.ping is not None else None
         if sent_ns is not None:
             self._trips_s.append((self._clock.now_ns() - sent_ns) * 1e-9)
