@@ -119,6 +119,13 @@ def test_the_server_says_once_what_holds() -> None:
     assert facts["stream"]["frame_rate_hz"] == 200.0
     assert facts["stream"]["server_up"] == "z"
     assert "address" not in facts["server"]  # of this computer
+    segments = {row["name"]: row["parent"] for row in facts["subject S01"]["segments"]}
+    assert segments["LowerBack"] is None
+    assert segments["L_Elbow"] == "L_Humerus"
+    assert {"name": "Head1", "segment": "Head"} in facts["subject S01"]["markers"]
+    neutral = {row["name"]: row["position_m"] for row in facts["subject S01"]["neutral_pose"]}
+    np.testing.assert_allclose(neutral["L_Tibia"], (0.0, 0.0, -0.42), atol=1e-9)  # in the thigh's frame
+    assert set(CABINPOSE.maps["vicon_kinematic_fit"].values()) <= set(segments)
 
 
 @pytest.mark.usefixtures("one_clock")
@@ -127,13 +134,6 @@ def test_a_server_on_another_computer_is_known_by_its_address() -> None:
         with opened(emulator, host="127.0.0.2") as source:
             samples = read_until(source, at_least(2))
         assert {"address": f"127.0.0.2:{emulator.address[1]}"}.items() <= of(samples[0], Facts)[0].values.items()
-    segments = {row["name"]: row["parent"] for row in facts["subject S01"]["segments"]}
-    assert segments["LowerBack"] is None
-    assert segments["L_Elbow"] == "L_Humerus"
-    assert {"name": "Head1", "segment": "Head"} in facts["subject S01"]["markers"]
-    neutral = {row["name"]: row["position_m"] for row in facts["subject S01"]["neutral_pose"]}
-    np.testing.assert_allclose(neutral["L_Tibia"], (0.0, 0.0, -0.42), atol=1e-9)  # in the thigh's frame
-    assert set(CABINPOSE.maps["vicon_kinematic_fit"].values()) <= set(segments)
 
 
 @pytest.mark.usefixtures("one_clock")
