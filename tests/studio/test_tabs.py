@@ -146,6 +146,29 @@ def test_dataset_tab_goes_from_the_worst_frame_to_its_labels(workspace: Workspac
     used(workspace, steps)
 
 
+def test_frames_are_asked_for_by_a_condition(workspace: Workspace) -> None:
+    """A condition with the errors of what is chosen; what is none is said at its field, and the frames of before stay."""
+
+    async def steps(user: User) -> None:
+        async def ask(condition: str) -> None:
+            marked(user, "where").set_value(condition)
+            user.find(marker="where").trigger("keydown.enter")
+            await asyncio.sleep(0)
+
+        await ask('car == "suv" and frame >= 2')
+        await user.should_see("4 of 6 frames")
+        await ask("error_cm > 6.5")
+        await user.should_see("unknown coordinate 'error_cm'")
+        await user.should_see("4 of 6 frames")
+        marked(user, "error of").set_value("oracle")
+        await user.should_see("3 of 6 frames")
+        await user.should_not_see("unknown coordinate")
+        await ask("")
+        await user.should_see("6 of 6 frames")
+
+    used(workspace, steps)
+
+
 def test_arrows_are_of_the_tab_in_front_alone(workspace: Workspace) -> None:
     """Those pressed in Label redrew the hidden tab, with its view in space."""
     arrow = {

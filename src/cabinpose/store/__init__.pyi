@@ -38,6 +38,9 @@ from .predictions import check_new_predictions as check_new_predictions
 from .predictions import empty_batch as empty_batch
 from .predictions import read_predictions as read_predictions
 from .predictions import write_predictions as write_predictions
+from .query import completions as completions
+from .query import frames_where as frames_where
+from .query import query_columns as query_columns
 from .schema import CHECKSUM_PREFIX as CHECKSUM_PREFIX
 from .schema import DEPTH_SCALE_M as DEPTH_SCALE_M
 from .schema import MANIFEST_NAME as MANIFEST_NAME

@@ -90,6 +90,8 @@ class SelectsFrames(PrintsJson):
     """Only the frames of this split."""
     select: Annotated[tuple[str, ...], several("NAME=VALUE[,VALUE] ...")] = ()
     """Only frames with these values of subject, action, car, pov or sequence."""
+    where: Annotated[Maybe[str], arg(metavar="CONDITION")] = None
+    """Only frames for which this holds: 'car == "suv" and people > 1 and not action == "sleep"'."""
 
 
 def renamed(words: Sequence[str], old: Mapping[str, tuple[str, Callable[[str], str]]]) -> list[str]:
@@ -138,7 +140,7 @@ def refuse(flags: Mapping[str, object], message: str) -> None:
 
 def refuse_selection(command: SelectsFrames, message: str) -> None:
     """ConfigError for the first flag that selects frames of a dataset."""
-    refuse({"--splits": command.splits, "--split": command.split, "--select": command.select}, message)
+    refuse({f"--{flag}": getattr(command, flag) for flag in ("splits", "split", "select", "where")}, message)
 
 
 def refuse_existing(folder: Path | None, *names: str, overwrite: bool) -> None:

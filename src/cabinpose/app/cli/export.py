@@ -115,7 +115,7 @@ def _frames(command: ExportDataset, form: DatasetFormat) -> tuple[xr.Dataset, Sp
     if command.splits is None or not form.tells_splits:
         return selected(dataset, command), {}
     splits = read_splits(command.splits, None if command.split is None else [command.split])
-    return frames_with(dataset, [selection(command.select)]), splits
+    return frames_with(dataset, [selection(command.select)], command.where), splits
 
 
 def _export_recording(command: ExportRecording) -> None:

@@ -1,4 +1,4 @@
-"""The flags --splits FILE, --split NAME and --select NAME=VALUE, which choose frames of a dataset for every command alike."""
+"""--splits FILE, --split NAME, --select NAME=VALUE and --where CONDITION: which frames of a dataset, for every command alike."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from cabinpose.store import (
     Selection,
     dataset_id,
     frame_mask,
+    frames_where,
     labels_of,
     open_dataset,
+    query_columns,
     read_manifest,
     read_splits,
     with_labels,
@@ -31,15 +33,17 @@ def opened(folder: Path, labels: Path | None = None) -> xr.Dataset:
 
 
 def selected(dataset: xr.Dataset, command: SelectsFrames) -> xr.Dataset:
-    """The frames of the split that a command names and of its --select; ConfigError or DatasetError where there is none."""
-    return frames_with(dataset, [*_split(command.splits, command.split), selection(command.select)])
+    """The frames of the split, the --select and the --where of a command; ConfigError or DatasetError where there is none."""
+    return frames_with(dataset, [*_split(command.splits, command.split), selection(command.select)], command.where)
 
 
-def frames_with(dataset: xr.Dataset, selections: Sequence[Selection]) -> xr.Dataset:
-    """The frames that belong to all selections; DatasetError where there is none."""
+def frames_with(dataset: xr.Dataset, selections: Sequence[Selection], where: str | None = None) -> xr.Dataset:
+    """The frames that belong to all selections and for which a condition holds; DatasetError where there is none."""
     mask = np.ones(dataset.sizes["frame"], bool)
     for each in selections:
         mask &= frame_mask(dataset, each)
+    if where is not None:
+        mask &= frames_where(query_columns(dataset), where)
     if not mask.any():
         raise DatasetError("no frame has all that is selected", hint="`cabinpose info` counts the frames by coordinate")
     return dataset if mask.all() else dataset.isel(frame=np.flatnonzero(mask))

@@ -17,8 +17,8 @@ from cabinpose.app.studio.view3d import look_through, view_3d
 from cabinpose.app.studio.workspace import depth_range
 from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
-from cabinpose.core import CabinposeError, Visibility, apply
-from cabinpose.store import dataset_skeleton, label_colours
+from cabinpose.core import CabinposeError, ConfigError, Visibility, apply
+from cabinpose.store import completions, dataset_skeleton, frames_where, label_colours, query_columns
 
 _FILTERS = ("subject", "action", "car", "pov")
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}
@@ -39,13 +39,17 @@ class DatasetTab:
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
         self._position = 0
         self._errors: FrameErrors | None = None  # of the predictions that are chosen
+        self._condition = page.address.get("dataset.where", "")
+        begin = page.remembered("dataset.frame", self._dataset["frame"].values.tolist())
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
             with ui.column().classes("studio-main"):
                 self._build_main()
         ui.keyboard(on_key=self._key)
-        self._show()
+        self._filter()
+        if begin is not None and (places := np.flatnonzero(self._dataset["frame"].values[self._rows] == begin)).size:
+            self._go(int(places[0]))
         ui.timer(1.0, self._look)
 
     def _build_side(self) -> None:
@@ -55,7 +59,15 @@ class DatasetTab:
             self._told = ui.label().style("font-size: 13px")
             self._again = ui.button("Show them", icon="refresh", on_click=self._reopen).props("outline dense no-caps")
         self._news.visible = False
-        ui.label("Frames with").style("font-weight: 600")
+        self._query = (
+            ui.input("frames where", value=self._condition, placeholder='car == "suv" and people > 1', on_change=self._typed)
+            .props("dense outlined clearable")
+            .classes("w-full")
+            .mark("where")
+            .on("keydown.enter", self._ask)
+            .on("clear", self._ask)
+            .on("blur", self._ask)
+        )
         self._filters = {}
         for name, values in self._coordinates.items():
             options = sorted({str(value) for value in values.ravel() if str(value)})
@@ -130,8 +142,30 @@ class DatasetTab:
             self._over.props(f'label="over, {self._errors.unit}"')
         self._filter()
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """What a condition can ask: with the error of the predictions that are chosen."""
+        errors = self._errors
+        return query_columns(self._dataset, {} if errors is None else {f"error_{errors.unit}": errors.d})
+
+    def _typed(self) -> None:
+        self._query.set_autocomplete(completions(self._columns(), self._query.value or ""))
+
+    def _ask(self) -> None:
+        if (condition := (self._query.value or "").strip()) != self._condition:
+            self._condition = condition
+            self._page.remember({"dataset.where": condition})
+            self._filter()
+
     def _filter(self) -> None:
+        """Choose the frames that fit; those of before stay where the condition is none."""
         chosen = np.ones(self._dataset.sizes["frame"], bool)
+        self._query.error = None
+        if self._condition:
+            try:
+                chosen &= frames_where(self._columns(), self._condition)
+            except ConfigError as error:
+                self._query.error = error.in_one_line()
+                return
         for name, select in self._filters.items():
             if select.value:
                 values = self._coordinates[name].astype(str)
@@ -197,6 +231,7 @@ class DatasetTab:
         small = self._dataset[[str(n) for n in self._dataset.data_vars if "y" not in self._dataset[n].dims]]
         frame = small.isel(frame=row).load()
         self._number.text = f"frame {int(frame['frame'])}"
+        self._page.remember({"dataset.frame": int(frame["frame"])})
         self._show_image(row)
         self._canvas.joints(people_of(frame) if self._skeleton.value else [], self._limbs)
         self._show_cloud(frame)
