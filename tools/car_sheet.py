@@ -18,11 +18,12 @@ import cv2
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cabinpose.app.view.draw import INVALID, PERSON_COLOUR, Image, amplitude_image, draw_skeleton, text
+from cabinpose.app.view.draw import INVALID, amplitude_image, draw_skeleton
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import invert, look_at
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.labels import LABEL_ID, LAST_BODY_ID
+from cabinpose.store import PERSON_COLOUR, Image, text
 from cabinpose.synth import FrameMaker
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.render import Rasteriser

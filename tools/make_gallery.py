@@ -18,9 +18,10 @@ import numpy as np
 from PIL import Image as PilImage
 
 import cabinpose
-from cabinpose.app.view.draw import Image, amplitude_image, depth_image, draw_skeleton, resized, text
+from cabinpose.app.view.draw import amplitude_image, depth_image, draw_skeleton, resized
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.labels import LABELS
+from cabinpose.store import Image, text
 
 WIDTH, HEIGHT, GAP, CAPTION = 264, 216, 6, 20
 SENSOR = "camera.sensor=pico_monstar_105/4"

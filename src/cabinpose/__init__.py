@@ -3,11 +3,23 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cabinpose.app.api import evaluate_predictions, generate, load_model, open, sample  # noqa: A004 - as in api.py
+    from cabinpose.app.api import (
+        evaluate_predictions,
+        generate,
+        load_model,
+        open,  # noqa: A004 - as in api.py
+        open_dataset,
+        open_predictions,
+        open_recording,
+        sample,
+    )
 
     __version__: str
 
-__all__ = ["__version__", "evaluate_predictions", "generate", "load_model", "open", "sample"]
+__all__ = [
+    "__version__", "evaluate_predictions", "generate", "load_model", "open", "open_dataset", "open_predictions", "open_recording",
+    "sample",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

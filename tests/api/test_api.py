@@ -16,7 +16,7 @@ import pytest
 
 import cabinpose
 from cabinpose.app.api import SAMPLE
-from cabinpose.core.errors import ConfigError
+from cabinpose.core.errors import CabinposeError, ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.core.pose import Visibility
 from cabinpose.estimate import JointPredictor
@@ -53,6 +53,24 @@ def test_the_package_loads_nothing_before_it_is_asked() -> None:
     assert set(cabinpose.__all__) <= set(dir(cabinpose))
     with pytest.raises(AttributeError, match="nonsense"):
         _ = cabinpose.nonsense  # type: ignore[attr-defined]
+
+
+def test_what_is_opened_by_its_kind_is_what_open_gives(dataset: Path, tmp_path: Path, model: JointPredictor) -> None:
+    ds = cabinpose.open_dataset(dataset)
+    assert ds.equals(cabinpose.open(dataset))  # type: ignore[arg-type]
+    assert all(f"units :</span></dt><dd>{unit}" in ds._repr_html_() for unit in ("m", "px"))  # xarray's page of it, in notebooks
+    found = model(ds.depth.values, ds.camera_k.values, ds.amplitude.values)
+    assert (found.persons, found.model, found.size) == (model.persons, "in_car", (352, 287))
+    assert found.draw(ds.amplitude[0].values, frame=0).shape == (2 * 287, 2 * 352, 3)
+    names = {name: getattr(found, name) for name in ("persons", "joints", "model", "skeleton")}
+    poses = {name: value for name, value in vars(found).items() if name not in {*names, "size"}}
+    file = write_predictions(tmp_path / "p.jsonl", Predictions(**poses, **names, frame=ds.frame.values))
+    told = cabinpose.open_predictions(file)
+    assert type(told) is type(cabinpose.open(file)) is Predictions
+    np.testing.assert_array_equal(told.to_dataframe()["u"], found.to_dataframe()["u"])
+    for opened in (cabinpose.open_dataset, cabinpose.open_recording, cabinpose.open_predictions):
+        with pytest.raises(CabinposeError):
+            opened(tmp_path / "nothing.mcap")
 
 
 def test_generated_frames_are_those_of_a_dataset(frames: list[Frame], dataset: Path) -> None:

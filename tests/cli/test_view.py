@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cabinpose.app.cli import view
 from cabinpose.app.view.draw import (
     INVALID,
     VISIBILITY_COLOUR,
@@ -46,6 +47,39 @@ def test_an_error_leaves_no_folder(run: Run, dataset_folder: Path, tmp_path: Pat
     (tmp_path / "view").mkdir()
     assert run("view", folder, "--out", tmp_path / "view")[0] == 2
     assert (tmp_path / "view").is_dir()
+
+
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+    """The addresses that the browser is asked to open; temporary folders are made in one of the test's own."""
+    opened: list[str] = []
+    monkeypatch.setattr(view.webbrowser, "open", lambda address: opened.append(address) or True)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(view.tempfile, "tempdir", str(tmp_path))
+    return opened
+
+
+def test_without_a_folder_the_page_is_opened(
+    run: Run, dataset_folder: Path, pages: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = ("--frames", "1", "--rows", "1")
+    code, out, err = run("view", dataset_folder, *few)
+    sheet, page = map(Path, out.split())
+    assert (code, pages, err) == (0, [page.as_uri()], "")
+    assert "<html" in page.read_text("utf-8")
+    assert sheet.read_bytes()[1:4] == b"PNG"
+    for flags in ("--no-open", "--json"):
+        assert run("view", dataset_folder, *few, flags)[0] == 0
+    monkeypatch.delenv("DISPLAY")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(view.sys, "platform", "linux")
+    assert "no browser was found here" in run("view", dataset_folder, *few)[2]
+    assert len(pages) == 1
+
+
+def test_an_error_without_a_folder_leaves_none(run: Run, tmp_path: Path, pages: list[str]) -> None:
+    assert run("view", tmp_path / "nothing")[0] == 2
+    assert (list(tmp_path.glob("cabinpose-view-*")), pages) == ([], [])
 
 
 def test_depth_colours_grow_darker_with_distance() -> None:

@@ -51,7 +51,7 @@ def load_model(model: str | Path, *, threads: int | None = None) -> JointPredict
 
 
 def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A001 - `cabinpose.open`, as in h5py or xarray
-    """Open what cabinpose has written, by what it is.
+    """Open what cabinpose has written, by what it is; `open_dataset`, `open_recording` and `open_predictions` give one type each.
 
     Parameters
     ----------
@@ -72,21 +72,36 @@ def open(path: Path | str) -> xr.Dataset | Recording | Predictions:  # noqa: A00
     place = Path(path)
     of_takes = place.is_dir() and not (place / "dataset.yaml").exists() and any(place.glob("*.mcap"))
     if place.is_dir() and not of_takes:
-        from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray
-
         return open_dataset(place)
     if place.suffix == ".mcap" or of_takes:
-        from cabinpose.store.recording import Recording  # noqa: PLC0415 - the extra `record`
-
-        return Recording(place)
+        return open_recording(place)
     if place.suffix in (".jsonl", ".parquet"):
-        from cabinpose.store import read_predictions  # noqa: PLC0415
-
-        return read_predictions(place)
+        return open_predictions(place)
     raise ConfigError(
         f"{place} is nothing that cabinpose writes" if place.exists() else f"{place} does not exist",
         hint="give the folder of a dataset, a recording (.mcap) or a predictions file (.jsonl, .parquet)",
     )
+
+
+def open_dataset(folder: Path | str) -> xr.Dataset:
+    """The dataset of a folder, lazily. Raises DatasetError for a folder without one, or with a damaged one."""
+    from cabinpose.store import open_dataset as opened  # noqa: PLC0415 - xarray
+
+    return opened(folder)
+
+
+def open_recording(path: Path | str) -> Recording:
+    """A recording: an .mcap file, or a folder with the files of one take. Raises RecordingError for what is none."""
+    from cabinpose.store.recording import Recording  # noqa: PLC0415 - the extra `record`
+
+    return Recording(Path(path))
+
+
+def open_predictions(file: Path | str) -> Predictions:
+    """A predictions file (.jsonl, .parquet). Raises PredictionsError for what is none."""
+    from cabinpose.store import read_predictions  # noqa: PLC0415
+
+    return read_predictions(file)
 
 
 def sample() -> xr.Dataset:
@@ -98,8 +113,6 @@ def sample() -> xr.Dataset:
         As `open` gives one. People in two cars that the packaged models were not trained on; on the command line it is called
         `sample`: `cabinpose view sample --out my-view`.
     """
-    from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray
-
     return open_dataset(SAMPLE)
 
 
@@ -191,16 +204,12 @@ def evaluate_predictions(
         evaluate,
         shared_places,
     )
-    from cabinpose.store import (  # noqa: PLC0415
-        Predictions,
-        open_dataset,
-        read_predictions,
-    )
+    from cabinpose.store import Predictions  # noqa: PLC0415
 
     name = Path(data).resolve().name if isinstance(data, Path | str) else ""
     dataset = open_dataset(data) if isinstance(data, Path | str) else data
     if isinstance(model, Path | str):
-        model = read_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else open_predictor(model)
+        model = open_predictions(model) if Path(model).suffix in (".jsonl", ".parquet") else open_predictor(model)
     if isinstance(model, Predictions):
         check_predictions(model, dataset, (name,) if name else ())
     elif not isinstance(model, Predictor):

@@ -18,6 +18,7 @@ from cabinpose.estimate.found import Found, mirrored
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, image_in, slices, view_inputs
 from cabinpose.estimate.settings import PlacedSettings
 from cabinpose.estimate.sight import unseen
+from cabinpose.store import FoundPeople
 
 # Median of amplitude times squared depth (m) over a generated frame, and where a model begins to fail: at a tenth of it the
 # median error of `in_car` is 2.5 cm in place of 1.0, at a hundredth 52, at ten times as much 1.4 and at a hundred times 3.3.
@@ -164,7 +165,7 @@ class JointPredictor:
         *,
         camera_dist: NDArray[Any] | None = None,
         rgb: NDArray[Any] | None = None,
-    ) -> PoseBatch:
+    ) -> FoundPeople:
         """The joints of one frame or of many, from plain arrays.
 
         Parameters
@@ -182,11 +183,12 @@ class JointPredictor:
 
         Returns
         -------
-        PoseBatch
-            joints_2d (P, J, 2) px, joints_3d (P, J, 3) m in the camera frame, score and presence (P, J), for the slots
-            `persons` and the joints `joints`, with expected_error_m (P, J) where the model's confidence is calibrated; with N
-            before that for many frames. reason, an array () of one text, or (N,), says why a frame in which nobody can be seen
-            has no answer; remarks, texts, what speaks against the camera, and what stood out in the frames.
+        FoundPeople
+            A `PoseBatch` with names, which draws itself into an image (`draw`) and becomes a table (`to_dataframe`): joints_2d
+            (P, J, 2) px, joints_3d (P, J, 3) m in the camera frame, score and presence (P, J), for the slots `persons` and the
+            joints `joints`, with expected_error_m (P, J) where the model's confidence is calibrated; with N before that for many
+            frames. reason, an array () of one text, or (N,), says why a frame in which nobody can be seen has no answer; remarks,
+            texts, what speaks against the camera, and what stood out in the frames.
 
         Raises
         ------
@@ -220,8 +222,12 @@ class JointPredictor:
                     f"rgb of shape {np.shape(rgb)} does not belong to depth of shape {depth.shape}", hint="give both of one frame"
                 )
             frames["rgb"] = np.asarray(rgb).reshape(*frames["depth"].shape, 3)
-        found = self.predict(frames)
-        return found.map(lambda values: values[0]) if one else found
+        poses = self.predict(frames)
+        poses = poses.map(lambda values: values[0]) if one else poses
+        return FoundPeople(
+            **vars(poses), persons=tuple(self.persons), joints=tuple(self.joints), model=self.name, skeleton=self.skeleton,
+            size=(depth.shape[-1], depth.shape[-2]),
+        )  # fmt: skip
 
     def seen(self, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> dict[str, NDArray[np.float32]]:
         """What the model's view sees of some frames by name; the first of the stages of `predict`.

@@ -30,6 +30,8 @@ from .labels import labels_of as labels_of
 from .labels import with_labels as with_labels
 from .lazy import open_dataset as open_dataset
 from .lazy import points_m as points_m
+from .named_poses import FoundPeople as FoundPeople
+from .named_poses import NamedPoses as NamedPoses
 from .part import EncodedFrame as EncodedFrame
 from .part import PartWriter as PartWriter
 from .part import encode_frame as encode_frame
@@ -70,5 +72,10 @@ from .split import people_of as people_of
 from .split import read_splits as read_splits
 from .split import split_dataset as split_dataset
 from .split import split_datasets as split_datasets
+from .strokes import PERSON_COLOUR as PERSON_COLOUR
+from .strokes import Colour as Colour
+from .strokes import Image as Image
+from .strokes import Strokes as Strokes
+from .strokes import text as text
 from .yaml_file import read_mapping as read_mapping
 from .yaml_file import validated as validated

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import POSE_ARRAYS, DependencyError, PoseBatch, PredictionsError, check_claim, whole_file
+from cabinpose.store.named_poses import NamedPoses
 from cabinpose.store.split import in_ranges
 
 FORMAT: Final = "cabinpose-predictions"
@@ -39,8 +40,8 @@ _MOST_FILLED = 2  # in the image; a corner's centre is a position as well. In sp
 _DESCRIBED = "docs/evaluation.md describes the format"
 
 
-@dataclass(frozen=True)
-class Predictions(PoseBatch):
+@dataclass(frozen=True, repr=False)
+class Predictions(NamedPoses):
     """The answers of one model: `PoseBatch`'s arrays over the frames numbered `frame` (F,) int64, in rising order.
 
     persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it · trained_on:
@@ -54,6 +55,11 @@ class Predictions(PoseBatch):
     skeleton: str = "cabinpose"
     dataset: str | None = None
     trained_on: str = ""
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """(F,) the numbers of the frames."""
+        return self.frame
 
     def take(self, frames: NDArray[np.int64]) -> PoseBatch:
         """The answers on the frames with the given numbers, in that order; frames without an answer are empty."""

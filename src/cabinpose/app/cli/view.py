@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import rmtree
 
 from cabinpose.app.cli.arguments import (
+    Maybe,
     SelectsFrames,
     ThingArgument,
     is_recording,
@@ -27,8 +35,10 @@ class View(SelectsFrames):
 
     dataset: ThingArgument
     """Folder of the dataset, or a recording (.mcap)."""
-    out: Path
-    """Folder for contact_sheet.png and index.html."""
+    out: Maybe[Path] = None
+    """Folder for contact_sheet.png and index.html; default: a temporary one, whose page is opened in the browser."""
+    open: bool = True
+    """Open the page where there is no --out, and a screen."""
     frames: int = 24
     """Frames on the page, spread evenly over the dataset or take."""
     rows: int = 8
@@ -46,29 +56,54 @@ def run(command: View) -> None:
     from cabinpose.app.view.sheet import VIEW_FILES
     from cabinpose.store import open_dataset, read_manifest
 
-    folder, out, frames, rows = command.dataset, command.out, command.frames, command.rows
+    folder, frames, rows = command.dataset, command.frames, command.rows
     if frames < 1 or rows < 1:
         raise ConfigError("a view shows at least one frame", hint="give --frames and --rows of 1 or more")
     recording = is_recording(folder)
-    if not recording and out.resolve().is_relative_to(folder.resolve()):
+    if command.out is not None and not recording and command.out.resolve().is_relative_to(folder.resolve()):
         raise ConfigError("the pictures would lie in the dataset", hint="give another folder with --out")
-    refuse_existing(out, *VIEW_FILES, overwrite=command.overwrite)
-    if recording:
-        refuse_selection(command, "{} is of datasets, and this is a recording")
-        require("record")
-        from cabinpose.app.report.recordings import write_recording_view
+    refuse_existing(command.out, *VIEW_FILES, overwrite=command.overwrite)
+    with _folder(command.out) as out:
+        if recording:
+            refuse_selection(command, "{} is of datasets, and this is a recording")
+            require("record")
+            from cabinpose.app.report.recordings import write_recording_view
 
-        with no_empty_folder(out), progress(frames, "moments") as report:
-            write_recording_view(folder, out, frames=frames, rows=rows, report=report)
-    else:
-        from cabinpose.app.view.page import write_view
+            with progress(frames, "moments") as report:
+                write_recording_view(folder, out, frames=frames, rows=rows, report=report)
+        else:
+            from cabinpose.app.view.page import write_view
 
-        manifest = read_manifest(folder)
-        dataset = selected(open_dataset(folder), command)
-        with no_empty_folder(out), progress(frames + rows, "frames") as report:
-            write_view(dataset, manifest, folder, out, frames=frames, rows=rows, report=report)
+            manifest = read_manifest(folder)
+            dataset = selected(open_dataset(folder), command)
+            with progress(frames + rows, "frames") as report:
+                write_view(dataset, manifest, folder, out, frames=frames, rows=rows, report=report)
     sheet, page = (out / name for name in VIEW_FILES)
     if command.as_json:
         print_json({"contact_sheet": str(sheet), "page": str(page)})
     else:
         print(f"{sheet}\n{page}")
+    if command.out is None and command.open and not command.as_json:
+        _open(page)
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """The folder of the pictures, a temporary one where none is given; one that is empty at an error goes."""
+    if out is not None:
+        with no_empty_folder(out):
+            yield out
+        return
+    temporary = Path(tempfile.mkdtemp(prefix="cabinpose-view-"))
+    try:
+        yield temporary
+    except BaseException:
+        rmtree(temporary)
+        raise
+
+
+def _open(page: Path) -> None:
+    """Show a page in the browser. Without a screen there is none, or one that would take the terminal."""
+    screen = sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not (screen and webbrowser.open(page.resolve().as_uri())):
+        print("no browser was found here: open index.html in one", file=sys.stderr)

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
 
-from cabinpose.app.view.draw import Image, jpeg
+from cabinpose.app.view.draw import jpeg
+from cabinpose.store import Image
 
 _VOID = ("img", "input", "meta")  # elements without an end
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from cabinpose.app.report.charts import COLOURS
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles, with_small
-from cabinpose.app.view.draw import Image, depth_image, depth_range, text
+from cabinpose.app.view.draw import depth_image, depth_range
 from cabinpose.app.view.sheet import caption
 from cabinpose.core import Part, Segmenter, write_whole
 from cabinpose.evaluate import PartsReport, PartsValue, pairs, trained_words
-from cabinpose.store import png
+from cabinpose.store import Image, png, text
 
 _BACKGROUND = (38, 40, 46)
 _PAPER = (247, 248, 250)

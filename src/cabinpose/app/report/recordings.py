@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from cabinpose.app.report.charts import charts
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles
 from cabinpose.app.report.timeline import interval_chart, timeline
-from cabinpose.app.view.draw import INVALID, Image, Strokes, amplitude_image, depth_image, depth_range, resized, text
+from cabinpose.app.view.draw import INVALID, amplitude_image, depth_image, depth_range, resized
 from cabinpose.app.view.sheet import VIEW_FILES
 from cabinpose.core import write_together
 from cabinpose.signals import Markers, Sample, SegmentPoses, TakenBody, ToFFrame
-from cabinpose.store import png
+from cabinpose.store import Image, Strokes, png, text
 from cabinpose.store.recording import Recording, SourceSurvey, Survey, survey
 
 _HEIGHT = 200  # px of a picture

@@ -13,9 +13,9 @@ from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
 
 from cabinpose.app.studio.pictures import row_of
-from cabinpose.app.view.draw import PERSON_COLOUR, cloud_colours
+from cabinpose.app.view.draw import cloud_colours
 from cabinpose.core import FORWARD_FROM_CAMERA, CabinposeError, FrameBatch, apply, camera_from, transform
-from cabinpose.store import points_m
+from cabinpose.store import PERSON_COLOUR, points_m
 
 MOST_POINTS = 60_000  # of a cloud in the browser: more cost frames a second and show nothing new
 MOST_LIVE = 12_000  # of a live cloud, which comes several times a second

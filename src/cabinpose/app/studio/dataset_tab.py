@@ -15,10 +15,10 @@ from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.tab import Page, Tab, no_dataset
 from cabinpose.app.studio.view3d import look_through, view_3d
 from cabinpose.app.studio.workspace import depth_range
-from cabinpose.app.view.draw import PERSON_COLOUR, VISIBILITY_COLOUR
+from cabinpose.app.view.draw import VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
 from cabinpose.core import CabinposeError, ConfigError, Visibility, apply
-from cabinpose.store import completions, dataset_skeleton, frames_where, label_colours, query_columns
+from cabinpose.store import PERSON_COLOUR, completions, dataset_skeleton, frames_where, label_colours, query_columns
 
 _FILTERS = ("subject", "action", "car", "pov")
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}

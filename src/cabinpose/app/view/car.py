@@ -9,21 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.app.view.draw import (
-    Colour,
-    Image,
-    Strokes,
-    amplitude_image,
-    depth_image,
-    depth_range,
-    draw_skeleton,
-    resized,
-    text,
-    to_view,
-)
+from cabinpose.app.view.draw import amplitude_image, depth_image, depth_range, draw_skeleton, resized, to_view
 from cabinpose.core import Camera, apply, look_at
 from cabinpose.scene import LABEL_ID
 from cabinpose.scene.cabin import SIZES, Cabin, Measure, Seat, SteeringWheel, ViewAnchor
+from cabinpose.store import Colour, Image, Strokes, text
 
 Floats = NDArray[np.float64]
 _WIDTH, _MARGIN, _HEAD, _GAP = 1180, 60, 112, 56  # px

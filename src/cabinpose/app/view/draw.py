@@ -10,12 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from PIL import Image as PilImage
-from PIL import ImageDraw, ImageFont
 
 from cabinpose.core import CABINPOSE, FORWARD_FROM_CAMERA, DatasetError, Visibility, transform
-
-Image = NDArray[np.uint8]  # (H, W, 3) RGB
-Colour = tuple[int, int, int]
+from cabinpose.store import PERSON_COLOUR, Colour, Image, Strokes
 
 VISIBILITY_COLOUR: MappingProxyType[Visibility, Colour] = MappingProxyType(
     {
@@ -25,8 +22,6 @@ VISIBILITY_COLOUR: MappingProxyType[Visibility, Colour] = MappingProxyType(
         Visibility.OUTSIDE_IMAGE: (150, 156, 166),
     }
 )
-# By person; told apart by people with any colour vision (Okabe and Ito 2008, without black and grey).
-PERSON_COLOUR: tuple[Colour, ...] = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (204, 121, 167), (213, 94, 0))
 INVALID: Colour = (38, 40, 46)
 _GAMMA = 0.5
 _VIRIDIS = (
@@ -34,7 +29,6 @@ _VIRIDIS = (
     (46, 109, 142), (41, 123, 142), (35, 137, 142), (31, 151, 139), (33, 165, 133), (46, 179, 124),
     (70, 192, 111), (101, 203, 94), (137, 213, 72), (176, 221, 47), (216, 226, 25), (253, 231, 37),
 )  # fmt: skip
-_FINER = 4  # lines and dots are drawn so many times larger, then averaged
 
 
 def completed(dataset: xr.Dataset) -> xr.Dataset:
@@ -108,37 +102,6 @@ def draw_skeleton(image: Image, uv: NDArray[np.float32], visibility: NDArray[np.
                 strokes.dot(points[i], 2.6 * scale, VISIBILITY_COLOUR[state])
 
 
-class Strokes:
-    """Lines and dots with smooth edges, drawn over an image in place when the block ends. Places are (x, y) px, middles whole."""
-
-    def __init__(self, image: Image) -> None:
-        self._image = image
-        self._layer = PilImage.new("RGBA", (image.shape[1] * _FINER, image.shape[0] * _FINER))
-        self._draw = ImageDraw.Draw(self._layer)
-
-    def __enter__(self) -> Strokes:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        over = np.asarray(self._layer.reduce(_FINER), np.float64)
-        share = over[..., 3:] / 255.0
-        self._image[...] = (over[..., :3] * share + self._image * (1.0 - share)).round()
-
-    def line(self, start: NDArray[np.float64], end: NDArray[np.float64], colour: Colour, width: float) -> None:
-        """A line `width` px wide."""
-        self._draw.line([*self._finer(start), *self._finer(end)], colour, round(width * _FINER))
-
-    def dot(self, at: NDArray[np.float64], radius: float, colour: Colour) -> None:
-        """A filled circle of a radius in px."""
-        x, y = self._finer(at)
-        r = radius * _FINER
-        self._draw.ellipse([x - r, y - r, x + r, y + r], colour)
-
-    @staticmethod
-    def _finer(at: NDArray[np.float64]) -> tuple[float, float]:
-        return float(at[0] + 0.5) * _FINER, float(at[1] + 0.5) * _FINER
-
-
 def cloud_colours(instance: NDArray[np.uint8], amplitude: NDArray[np.uint16], white: float) -> NDArray[np.uint8]:
     """(H, W, 3) colours for a point cloud: the world in grey by amplitude, each person in a colour, shaded by it."""
     shade = np.clip(amplitude / max(white, 1.0), 0, 1) ** _GAMMA
@@ -180,23 +143,6 @@ def to_view(
     scale = min(width / (high[0] - low[0]), height / (high[1] - low[1]))
     seen, middle = points @ axes.T, (low + high) / 2
     return np.stack((width / 2 + (seen[:, 0] - middle[0]) * scale, height / 2 - (seen[:, 1] - middle[1]) * scale), axis=-1)
-
-
-def text(image: Image, words: str, xy: tuple[int, int], colour: Colour = (32, 36, 44), size: int = 14, weight: int = 400) -> None:
-    """Write words with their baseline's left end at `xy`; a weight above 500 is bold."""
-    picture = PilImage.fromarray(image)
-    draw = ImageDraw.Draw(picture)
-    for shift in (0.0, 0.5) if weight > _BOLD else (0.0,):
-        draw.text((xy[0] + shift, xy[1]), words, colour, _font(size), anchor="ls")
-    image[...] = np.asarray(picture)
-
-
-_BOLD = 500
-
-
-@lru_cache
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size)
 
 
 def resized(image: Image, size: tuple[int, int]) -> Image:

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from cabinpose.app.finite import finite
 from cabinpose.app.report.html import style
 from cabinpose.app.view.draw import (
-    PERSON_COLOUR,
     VISIBILITY_COLOUR,
     amplitude_image,
     colour_map,
@@ -35,7 +34,7 @@ from cabinpose.app.view.draw import (
 from cabinpose.app.view.sheet import VIEW_FILES, contact_sheet, ranges
 from cabinpose.app.view.summary import BIN_M, spread, summarise
 from cabinpose.core import Visibility, write_together
-from cabinpose.store import Manifest, camera_of, dataset_skeleton, depth_mm, label_table, people, png
+from cabinpose.store import PERSON_COLOUR, Manifest, camera_of, dataset_skeleton, depth_mm, label_table, people, png
 
 _RAY_STEP = 8  # pixels between the rays that the page is given
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cabinpose.app.view.draw import (
     VISIBILITY_COLOUR,
-    Image,
     amplitude_image,
     cloud_colours,
     colour_map,
@@ -21,11 +20,10 @@ from cabinpose.app.view.draw import (
     draw_skeleton,
     infrared_image,
     orthographic,
-    text,
     to_view,
 )
 from cabinpose.core import Visibility, apply
-from cabinpose.store import label_colours, people, points_m
+from cabinpose.store import Image, label_colours, people, points_m, text
 
 _PAPER, _INK, _GREY = (247, 248, 250), (32, 36, 44), (104, 112, 124)
 _PANEL_WIDTH = 240  # smaller frames are enlarged by a whole factor
