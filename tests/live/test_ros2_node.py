@@ -68,7 +68,7 @@ class StandInNode:
     def create_publisher(self, kind: Any, topic: str, depth: int) -> Publisher:
         return self.published.setdefault(topic, Publisher())
 
-    def create_subscription(self, kind: Any, topic: str, call: Any, qos: Any) -> None:
+    def create_subscription(self, kind: Any, topic: str, call: Any, *_: Any) -> None:
         self.listens[topic] = call
 
     def get_logger(self) -> Any:
@@ -80,7 +80,7 @@ class StandInNode:
 class Synchronizer:
     """Messages of one time from several topics."""
 
-    def __init__(self, inputs: list[Any], queue_size: int, slop: float) -> None:
+    def __init__(self, inputs: list[Any], **_: Any) -> None:
         self.topics = [each.topic for each in inputs]
 
     def registerCallback(self, call: Any) -> None:  # noqa: N802 - message_filters' name
@@ -98,7 +98,7 @@ def example() -> Iterator[ModuleType]:
     modules = {
         "rclpy": {}, "rclpy.node": {"Node": StandInNode}, "rclpy.qos": {"qos_profile_sensor_data": object()},
         "message_filters": {
-            "Subscriber": lambda node, kind, topic, qos_profile: SimpleNamespace(topic=topic),
+            "Subscriber": lambda node, kind, topic, **_: SimpleNamespace(topic=topic),
             "ApproximateTimeSynchronizer": Synchronizer,
         },
         "geometry_msgs": {}, "geometry_msgs.msg": {"Point": point},
