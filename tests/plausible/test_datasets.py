@@ -98,7 +98,7 @@ def test_the_parts_of_another_import_with_the_same_settings_are_refused(tmp_path
 
 
 @pytest.mark.parametrize(("array", "file"), [("depth", "c/0/0/0"), ("sync_ns", "c/0")])
-def test_a_file_of_another_dataset_within_a_part_is_refused_once_it_is_read(
+def test_a_file_of_another_dataset_within_a_part_is_refused(
     tmp_path: Path, array: str, file: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of equal size, and with a right checksum of its own."""
@@ -107,11 +107,13 @@ def test_a_file_of_another_dataset_within_a_part_is_refused_once_it_is_read(
     old, new = (folder / "part-00001.zarr" / array / file for folder in (mine, other))
     assert old.stat().st_size == new.stat().st_size
     assert old.read_bytes() != new.read_bytes()
-    shutil.copy(new, old)
     opened = open_dataset(mine)
+    shutil.copy(new, old)
     with pytest.raises(DatasetError, match=rf"part-00001\.zarr is damaged: cannot read {array} .*of another part or dataset"):
         opened.variables[array].load()
     assert opened.variables["joints_3d"].load().size
+    with pytest.raises(DatasetError, match=rf"part-00001\.zarr is damaged: {array} is not what .*of another part or dataset"):
+        open_dataset(mine)
     assert main(["info", str(mine), "--verify"]) == 2
     assert "of another part or dataset" in capsys.readouterr().err
 

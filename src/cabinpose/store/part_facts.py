@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core import DatasetError
 from cabinpose.store.schema import MANIFEST_NAME, SCHEMA_VERSION, Manifest, PartPlan, checksum
-from cabinpose.store.shard import read_whole
+from cabinpose.store.shard import check_last_chunks, read_whole
 from cabinpose.store.zarr_metadata import describes, dimension_labels, zarr_arrays
 
 _Count = Annotated[int, Field(ge=0)]
@@ -76,7 +76,7 @@ def check_parts(folder: Path, plans: Sequence[PartPlan], manifest: Manifest) -> 
 def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
     """The facts of a complete part, after comparing its checksum, file sizes, arrays and names with what they should be.
 
-    Its chunks have checksums of their own, which are compared when they are read. Raises `DatasetError` naming the part and the
+    Of each file the checksum of its last chunk is held against the part's; all are compared when they are read. Raises `DatasetError` naming the part and the
     file where something is missing, damaged or not as the manifest says.
     """
     hint = f"delete {path} and run the command that made it with --resume"
@@ -101,6 +101,10 @@ def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
             raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json does not agree with zarr.json", hint=hint)
         if not describes(own, array):
             raise _disagrees(path, f"the shape, type or classes of {array.name}")
+        try:
+            check_last_chunks(f"{path}/{array.name}/c", len(array.dims), facts.crcs(array.name), image=array.is_image)
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{path.name} is damaged: {array.name} is {error}", hint=hint) from error
     skipped = set(facts.skipped)
     numbers = tuple(number for number in range(plan.first, plan.first + plan.frames) if number not in skipped)
     expected = {name: (labels, "str") for name, labels in dimension_labels(manifest).items()} | {"frame": (numbers, "int64")}

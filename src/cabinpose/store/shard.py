@@ -8,6 +8,7 @@ frame is noticed when it is read.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -102,6 +103,24 @@ def read_frames(
                 own = stated[CRC_BYTES * int(frames[position]) :][:CRC_BYTES]
                 _codecs()[0].decode(checked(file.read(length), own), result[position])
     return result
+
+
+def check_last_chunks(folder: str, dims: int, stated: bytes, *, image: bool) -> None:
+    """Compare the checksum of the last chunk of each file of an array with what its part states; no chunk is read.
+
+    folder: .../<variable>/c · dims: of the array · stated: as for `read_frames`; b"" compares nothing · image: whether it has
+    shards. Raises OSError or ValueError where a file is missing, damaged at its end, or another part's.
+    """
+    of_file, from_end = (CRC_BYTES * FRAMES_PER_SHARD, CRC_BYTES + _INDEX_BYTES) if image else (len(stated), CRC_BYTES)
+    for number, start in enumerate(range(0, len(stated), max(of_file, 1))):
+        file = os.open(f"{folder}/{number}{'/0' * (dims - 1)}", os.O_RDONLY)  # a third of the time of `Path.open`
+        try:
+            os.lseek(file, -from_end, os.SEEK_END)
+            found = os.read(file, CRC_BYTES)
+        finally:
+            os.close(file)
+        if found != stated[start : start + of_file][-CRC_BYTES:]:
+            raise ValueError(f"not what the part was written with, in file {number}: damaged, or of another part or dataset")
 
 
 def depth_ticks(depth_m: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
