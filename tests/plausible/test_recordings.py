@@ -237,7 +237,7 @@ def test_exports_of_what_is_no_rotation_end_in_words(tmp_path: Path, person: Pos
     true = recording_of(tmp_path / "true.mcap", rows_of(person[:4]))
     assert "nan" not in export_recording(true, form, tmp_path / f"true.{form}")[0].read_text()
     wrong = recording_of(tmp_path / "a.mcap", rows_of(person[:4], norm=norm))
-    with pytest.raises(RecordingError, match=rf"92 of 92 orientations .* are no rotations: a quaternion has length {norm:g}"):
+    with pytest.raises(RecordingError, match=rf"92 of 92\) of the quaternions have another length than 1, such as {norm:g}"):
         export_recording(wrong, form, tmp_path / f"a.{form}")
     assert not (tmp_path / f"a.{form}").exists()
 

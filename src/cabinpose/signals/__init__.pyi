@@ -8,6 +8,7 @@ from .body_check import Doubt as Doubt
 from .body_check import body_doubts as body_doubts
 from .body_check import body_size as body_size
 from .body_check import recognised_unit as recognised_unit
+from .body_check import rotation_doubt as rotation_doubt
 from .body_check import stamp_doubts as stamp_doubts
 from .body_check import trunk_columns as trunk_columns
 from .clock import ClockMap as ClockMap

@@ -164,6 +164,22 @@ def body_doubts(track: BodyTrack) -> Iterator[Doubt]:
         yield from _orientation_doubts(track, track.orientation_wxyz)
 
 
+def rotation_doubt(wxyz: F64) -> Doubt | None:
+    """What speaks against quaternions (..., 4) by their lengths; None where nothing does. Those that are not known are NaN."""
+    norm = np.linalg.norm(wxyz, axis=-1)
+    norm = norm[np.isfinite(norm)]
+    low, high, why = LIMITS["norm"]
+    odd = norm[(norm < low) | (norm > high)]
+    if not odd.size:
+        return None
+    return Doubt(
+        f"{100 * odd.size / norm.size:.3g} % ({odd.size} of {norm.size}) of the quaternions have another length than 1, such as"
+        f" {odd[0]:.3g}: {why}",
+        "record or export it again from where it comes; a segment whose orientation is not known has none, or nan",
+        impossible=True,
+    )
+
+
 def stamp_doubts(time_ns: Sequence[int], declared_hz: float | None) -> Iterator[Doubt]:
     """What speaks against the time stamps of frames, in the order in which they came.
 
@@ -298,19 +314,10 @@ def _axis_doubts(track: BodyTrack) -> Iterator[Doubt]:
 
 
 def _orientation_doubts(track: BodyTrack, wxyz: F64) -> Iterator[Doubt]:
-    known = np.isfinite(wxyz).all(axis=-1)
-    if not known.any():
-        return
-    norm = np.linalg.norm(wxyz[known], axis=-1)
-    low, high, why = LIMITS["norm"]
-    if (odd := (norm < low) | (norm > high)).any():
-        yield Doubt(
-            f"{100 * odd.mean():.3g} % of the quaternions have another length than 1, such as {norm[odd][0]:.3g}: {why}",
-            "export it again; a segment whose orientation is not known has none, or nan",
-            impossible=True,
-        )
-        return
-    yield from _order_doubts(track, wxyz)
+    if (doubt := rotation_doubt(wxyz)) is not None:
+        yield doubt
+    elif np.isfinite(wxyz).all(axis=-1).any():
+        yield from _order_doubts(track, wxyz)
 
 
 def _order_doubts(track: BodyTrack, wxyz: F64) -> Iterator[Doubt]:

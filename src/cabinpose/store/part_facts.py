@@ -76,8 +76,8 @@ def check_parts(folder: Path, plans: Sequence[PartPlan], manifest: Manifest) -> 
 def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
     """The facts of a complete part, after comparing its checksum, file sizes, arrays and names with what they should be.
 
-    Of each file the checksum of its last chunk is held against the part's; all are compared when they are read. Raises `DatasetError` naming the part and the
-    file where something is missing, damaged or not as the manifest says.
+    Of each file the checksum of its last chunk is held against the part's; all are compared when they are read. Raises
+    `DatasetError` naming the part and the file where something is missing, damaged or not as the manifest says.
     """
     hint = f"delete {path} and run the command that made it with --resume"
     facts, arrays = _read(path, hint)

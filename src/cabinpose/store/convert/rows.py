@@ -9,10 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
-import numpy as np
-
 from cabinpose.core import ConfigError, RecordingError, whole_file
-from cabinpose.signals import F64, LIMITS, Doubt, Message, Sample, TakeCheck
+from cabinpose.signals import F64, Doubt, Message, Sample, TakeCheck, rotation_doubt
 
 Row: TypeAlias = tuple[int, int | None, Message]  # host_ns, device_ns, message
 Entry: TypeAlias = tuple[str, int, int | None, Message]  # source, then as in a row
@@ -83,12 +81,5 @@ def say_doubts(path: Path, doubts: Iterable[tuple[str, Doubt]]) -> None:
 
 def check_rotations(whose: str, orientation_wxyz: F64) -> None:
     """Raise RecordingError where quaternions (..., 4) are no rotations; those that are not known (NaN) are passed over."""
-    norm = np.linalg.norm(orientation_wxyz, axis=-1)
-    low, high, why = LIMITS["norm"]
-    odd = (norm < low) | (norm > high)  # False for NaN
-    if odd.any():
-        raise RecordingError(
-            f"{int(odd.sum())} of {odd.size} orientations of {whose} are no rotations:"
-            f" a quaternion has length {norm[odd][0]:.3g} ({why})",
-            hint="record or export it again from where it comes; what is not known is nan",
-        )
+    if (doubt := rotation_doubt(orientation_wxyz)) is not None:
+        raise RecordingError(f"{whose}: {doubt.words}", hint=doubt.hint)
