@@ -16,7 +16,7 @@ from cabinpose import _native
 from cabinpose._native import estimate
 from cabinpose.core import Camera, FrameBatch, PoseBatch, joined
 from cabinpose.estimate import JointPredictor, PartSegmenter, load_model, open_model
-from cabinpose.estimate.sight import _Limits, _Seen
+from cabinpose.estimate.sight import _Limits, _Seen, unseen
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.store.itop import read_itop_frames
 
@@ -135,6 +135,17 @@ def test_the_kernel_counts_what_numpy_counts_and_either_build_the_same(frame: di
     assert _Seen(*estimate.see(surface, amplitude=light[:0, :0], limits=LIMITS))[-4::3] == (1920 - 70, 0)
     surface[:, 96:] *= 1.5
     assert _Seen(*estimate.see(surface, amplitude=light[:0, :0], limits=LIMITS)).off > 500
+
+
+def test_who_stands_before_what_is_out_of_range_is_no_bare_wall() -> None:
+    """In a doorway: all around the person nothing is measured, and the wall beside it is another surface."""
+    wall = 3.8 + 0.002 * np.arange(96) + np.zeros((96, 1))
+    doorway = np.where((np.arange(96) > 34) & (np.arange(96) < 84) & (np.arange(96)[:, None] > 22), 0.0, wall)
+    person = doorway.copy()
+    person[34:, 48:66] = 2.4 + 0.1 * np.abs(np.linspace(-1, 1, 18))
+    (alone, _), (there, _) = unseen({"depth": np.stack((doorway, person)).astype(np.float32)}, [1.0, 1.0])
+    assert "no silhouette" in alone
+    assert there == ""
 
 
 @pytest.mark.real_data

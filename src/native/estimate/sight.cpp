@@ -18,8 +18,8 @@ struct SightLimits {
 
 /// Counts over the pixels that are looked at: valid, touching, near, nearer; pairs of neighbours in a row, both valid, and steps
 /// between them; lit: valid with an amplitude · over all pixels: valid_all, joined (valid with a valid one to the left), odd
-/// (amplitudes below the darkest or not finite) · blocks of `every` pixels a side with a depth, pairs of them
-/// with edges between their mean depths, and those off the surface 1/z = a + b u + c v + d u² + e u v + f v² nearest to all.
+/// (amplitudes below the darkest or not finite) · blocks of `every` pixels a side with a depth, pairs of them that follow each
+/// other in a row with edges between their mean depths, and those off the surface 1/z = a + b u + c v + d u² + e u v + f v² nearest to all.
 struct Sight {
   int valid = 0, touching = 0, near = 0, nearer = 0, pairs = 0, steps = 0, lit = 0, valid_all = 0, joined = 0, odd = 0,
       blocks = 0, block_pairs = 0, edges = 0, off = 0;
@@ -95,12 +95,13 @@ void count_blocks(const std::vector<float>& mean, Index rows, Index columns, con
     const Powers v(static_cast<double>(i) / scale - 0.5);
     const double c0 = s[0] + s[2] * v.of[1] + s[5] * v.of[2], c1 = s[1] + s[4] * v.of[1];
     const float* z = mean.data() + i * columns;
+    float before = 0.0f;  // the last one with a depth: who stands before what is out of range has an edge across the gap
     for (Index j = 0; j < columns; ++j) {
       const double x = u[static_cast<std::size_t>(j)].of[1];
-      const bool both = j > 0 && (z[j] > 0.0f) & (z[j - 1] > 0.0f);
+      const bool there = z[j] > 0.0f, both = there && before > 0.0f;
       found.block_pairs += both;
-      found.edges += both && std::fabs(z[j] - z[j - 1]) > limits.edge * z[j - 1];
-      const bool there = z[j] > 0.0f;
+      found.edges += both && std::fabs(z[j] - before) > limits.edge * before;
+      if (there) before = z[j];
       found.blocks += there;
       found.off += there && std::fabs((c0 + c1 * x + s[3] * x * x) * static_cast<double>(z[j]) - 1.0) > least;
     }

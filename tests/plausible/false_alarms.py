@@ -1,0 +1,118 @@
+"""What is said of frames and recordings that are as they should be: each word of it is a false alarm.
+
+    python tests/plausible/false_alarms.py [FRAMES]
+
+Makes FRAMES (17) frames for each packaged sensor and each of six kinds of scenes, opens and looks at them as `info` does, and
+asks the models that know such scenes; then looks at the sample, and at the real data that `CABINPOSE_REAL_DATA` names. Rooms are
+as deep as 5 m: frames whose sensor does not reach the person (`range_m`) show nobody, and are counted apart.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+import cabinpose
+from cabinpose.app.cli import main
+from cabinpose.core import forget_told_cameras, without_numbers
+from cabinpose.estimate import load_model
+from cabinpose.evaluate import frame_batch
+from cabinpose.scene.sensor import SENSORS
+from cabinpose.store import label_warnings, open_dataset, read_itop_frames
+
+SCENES = {
+    "cars": (("scene.cars=[suv, sedan, city_car]",), ("in_car", "paf")),
+    "random cars": (("scene.cars=[]", "scene.random_cars=4"), ("in_car",)),
+    "rear seats": (("scene.cars=[van, shuttle]", "camera.views={rear: 1.0}"), ("five_seats",)),
+    "things": (("scene.in_hand=0.8", "scene.objects={rear_center: {box: 0.5}}"), ("in_car", "five_seats")),
+    "rooms": (("scene.kind=room",), ("room",)),
+    "rooms from above": (("scene.kind=room", "camera.views={room_top: 1.0}"), ("room_top",)),
+}
+NOISE = {"structured_light": ("noise={kind: structured_light}",)}
+RECORDINGS = (("bvh", "mocap/cmu_131_01.bvh"), ("mvnx", "mocap/xsens_upper_body.mvnx"), ("c3d", "mocap/vicon_two_subjects.c3d"),
+              ("azure-mkv", "tof/azure_kinect.mkv"))  # fmt: skip
+LOOKS = (("room", "itop/itop_front_64.npz"), ("room_top", "itop/itop_top_64.npz"))
+
+Said = Counter[str]
+
+
+def heard(said: Said, what: str, act: Callable[[], object]) -> None:
+    """Count what is warned of, or printed as a warning or an error, while something is done."""
+    forget_told_cameras()
+    with warnings.catch_warnings(record=True) as told, contextlib.redirect_stderr(io.StringIO()) as printed:
+        warnings.simplefilter("always")
+        with contextlib.redirect_stdout(io.StringIO()):
+            act()
+    lines = [str(each.message) for each in told if each.category is UserWarning]
+    lines += [line for line in printed.getvalue().splitlines() if line.startswith(("warning:", "error:"))]
+    said.update(f"{what}: {without_numbers(line)}" for line in lines)
+
+
+def unreached(dataset: xr.Dataset, reach_m: float) -> int:
+    """Frames in which everybody stands beyond the sensor's range."""
+    nearest = dataset["joints_3d"].values[..., 2].min(axis=(1, 2), initial=np.inf, where=dataset["visibility"].values > 0)
+    return int((nearest > reach_m).sum())
+
+
+def generated(said: Said, sensor: str, scene: str, frames: int, folder: Path) -> int:
+    """Make, open and look at the frames of a sensor and a kind of scene; in how many of them nobody is within reach."""
+    preset, (settings, models) = SENSORS[sensor], SCENES[scene]
+    options = (*settings, f"camera.sensor={sensor}", "output.drive_side=true", *NOISE.get(preset.principle, ()))
+    out, what = folder / "data", f"{scene}, {sensor}"
+    command = ["synth", "--frames", str(frames), "--seed", "33", "--overwrite", "--out", str(out), *options]
+    heard(said, f"synth, {what}", partial(main, command))
+    heard(said, f"info, {what}", partial(main, ["info", str(out)]))
+    dataset = open_dataset(out)
+    far = unreached(dataset, preset.range_m[1])
+    for model in models:
+        found = load_model(model, threads=1)
+        if preset.principle == "structured_light" and "amplitude" in found.images:
+            continue  # it has none, and the models say so
+        batch = frame_batch(dataset, slice(0, frames), tuple(found.images))
+        heard(said, f"{model}, {what}{f', {far} beyond reach' if far else ''}", partial(found.predict, batch))
+    return far
+
+
+def real(said: Said, data: Path, folder: Path) -> int:
+    """How many files were looked at."""
+    for form, file in RECORDINGS:
+        out = folder / f"{form}.mcap"
+        heard(said, file, partial(main, ["import", form, str(data / file), "--out", str(out)]))
+        heard(said, f"info of {file}", partial(main, ["info", str(out)]))
+    for model, file in LOOKS:
+        found = load_model(model, threads=1)
+        heard(said, f"{model}, {file}", partial(found.predict, read_itop_frames(data / file)))
+    return len(RECORDINGS) + len(LOOKS)
+
+
+def run(frames: int) -> Said:
+    """Look at everything, and print what was said."""
+    said: Said = Counter()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        kinds = [(sensor, scene) for sensor in SENSORS.names() for scene in SCENES]
+        beyond = sum(generated(said, sensor, scene, frames, folder) for sensor, scene in kinds)
+        heard(said, "sample", lambda: label_warnings(cabinpose.sample()))
+        data = os.environ.get("CABINPOSE_REAL_DATA")
+        files = real(said, Path(data), folder) if data else 0
+    sys.stdout.write(
+        f"{frames * len(kinds)} generated frames, {beyond} of them beyond reach; {files} real files; {sum(said.values())} told\n"
+    )
+    for words, count in said.most_common():
+        sys.stdout.write(f"{count} x {words}\n")
+    return said
+
+
+if __name__ == "__main__":
+    run(int(sys.argv[1]) if len(sys.argv) > 1 else 17)
