@@ -373,7 +373,7 @@ def beside(first: Trial, second: Command) -> Iterator[str]:
             yield "not stopped"
             return
         there = tree(first.out)
-        done = run(f"{words} {second.again}", first.out)
+        done = run(f"{words} {second.again or ''}", first.out)
         if done.code != 2 or "Traceback" in done.said or not re.search("another process is writing|holds a dataset", done.said):
             yield f"the second: exit code {done.code}: {' '.join(done.said.split())[:100]}"
         if tree(first.out) != there:
