@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from cabinpose.app.cli import main
 from cabinpose.core import JOINTS, Visibility
@@ -15,13 +18,15 @@ from cabinpose.synth import FrameMaker, SynthConfig, views_seen
 
 pytestmark = pytest.mark.slow  # scenes are drawn
 SEED = 5
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs/examples/03_own_car_mesh.py"
 
 
 def test_shares_are_those_of_the_frame_that_synth_makes() -> None:
     """By the whole way of a frame: its own camera, its own size, the variable `visibility`."""
     occupancy = dict.fromkeys(("rear_center", *SEATS_OF_ALL), 0.5) | {"driver": 1.0}
     scene = {"kind": "cabin", "cars": ["hatchback"], "right_hand_drive": 0.0, "occupancy": occupancy}
-    config = SynthConfig.parse({"scene": scene, "camera": {"jitter_m": 0.0, "jitter_deg": 0.0}})
+    views = dict.fromkeys(build_cabin("hatchback").views, 1.0)
+    config = SynthConfig.parse({"scene": scene, "camera": {"views": views, "jitter_m": 0.0, "jitter_deg": 0.0}})
     frame, made = FrameMaker(config, SEED).make(0)
     reports = {r.place.view: r for r in views_seen("hatchback", sensor_by_name("pico_monstar_105/5"), frames=1, seed=SEED)}
     report = reports[made.pov]
@@ -46,6 +51,22 @@ def test_the_command_prints_every_place_of_the_car_and_the_same_again(capsys: py
     header, *rows = capsys.readouterr().out.splitlines()
     assert header.split()[:6] == ["view", "position_m", "look_at_m", "pixels", "heads", "hands"]
     assert [row.split()[0] for row in rows] == list(views)
+
+
+def test_the_page_shows_what_the_command_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "views", "sedan"]) == 0
+    page = (EXAMPLE.parents[1] / "guides/own-camera.md").read_text("utf-8")
+    assert f"$ cabinpose config views sedan\n{capsys.readouterr().out}```" in page
+
+
+def test_a_car_with_one_view_is_looked_at_from_there(tmp_path: Path) -> None:
+    """An own mesh with one seat, as the example of the documentation writes it, for which a view is chosen."""
+    example = runpy.run_path(str(EXAMPLE))
+    cabin, mesh, file = build_cabin("hatchback"), tmp_path / "car.glb", tmp_path / "car.yaml"
+    example["write_mesh"](cabin, mesh)
+    file.write_text(yaml.safe_dump(example["describe"](cabin, mesh)))
+    (report,) = views_seen(str(file), sensor_by_name("pico_monstar_105/5"), frames=1)
+    assert (report.place.view, list(report.seats), report.people) == ("driver", ["driver"], 1)
 
 
 @pytest.mark.parametrize(("words", "told"), [(["suvv"], "did you mean suv"), (["suv", "--frames", "0"], "--frames")])

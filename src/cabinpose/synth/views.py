@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cabinpose.core import JOINTS, Bools, Visibility, apply, invert
+from cabinpose.core import JOINTS, Bools, ConfigError, Visibility, apply, invert
 from cabinpose.scene.cabin import SEATS_OF_ALL, Cabin, ViewAnchor
 from cabinpose.scene.sensor import PhysicalNoise, Sensor, place_camera
+from cabinpose.synth.cabins import open_cabin
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.place import PlaceReport, judge_place, reduced
 from cabinpose.synth.render import Rasteriser
@@ -64,7 +65,11 @@ def views_seen(
     """
     occupancy = dict.fromkeys(("rear_center", *SEATS_OF_ALL), 0.5) | {"driver": 1.0}
     scene = {"kind": "cabin", "cars": [car], "right_hand_drive": 0.0, "occupancy": occupancy}
-    sampler = SceneSampler(SynthConfig.parse({"scene": scene}), seed)
+    SynthConfig.parse({"scene": scene})  # ConfigError for a car that is not there
+    views = dict.fromkeys(open_cabin(car, "left").views, 1.0)
+    if not views:
+        raise ConfigError(f"{car} has no views", hint="give them in its file: views: {NAME: {eye: [x, y, z], target: [x, y, z]}}")
+    sampler = SceneSampler(SynthConfig.parse({"scene": scene, "camera": {"views": views}}), seed)
     scenes = []
     for index in range(frames):
         scenes.append(sampler.sample(index, rng=frame_rng(seed, index)))

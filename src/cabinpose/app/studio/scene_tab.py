@@ -331,7 +331,7 @@ class SceneTab:
 
     def _tell(self, shown: Shown | None, wrong: list[str]) -> None:
         collisions = [_words(verdict) for verdict in shown.verdicts] if shown is not None else []
-        doubts = [f"camera: {doubt}" for doubt in shown.doubts] if shown is not None else []
+        doubts = [f"camera: {'; '.join(shown.doubts)}"] if shown is not None and shown.doubts else []
         self._verdict.text = "; ".join((*wrong, *collisions, *doubts)) or "holds: nothing collides"
         self._verdict.style(f"color: {'#d33' if wrong or collisions else '#c77700' if doubts else '#2a9d5c'}")
         if shown is not None:
