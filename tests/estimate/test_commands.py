@@ -14,6 +14,7 @@ import yaml
 from PIL import Image
 
 from cabinpose.app.cli import main, output
+from cabinpose.estimate import open_model
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +63,14 @@ def test_a_run_learns_from_several_datasets(data: Path, tmp_path: Path, capsys: 
     splits = tmp_path / "splits.yaml"
     splits.write_text("train: {subject: [S01, S02, S03]}\nvalidate: {subject: [S04]}\n")
     arguments = ["--config", str(config), "--out", str(tmp_path / "run"), "--devices", "1", "--splits", str(splits)]
-    assert run("train", str(data), str(other), *arguments) == 0
+    model = tmp_path / "model.onnx"
+    assert run("train", str(data), str(other), *arguments, "--export", str(model)) == 0
     assert (tmp_path / "run" / "best.ckpt").exists()
-    capsys.readouterr()
+    assert capsys.readouterr().out.split() == [str(tmp_path / "run" / "best.ckpt"), str(model)]
+    assert open_model(model).name == "model"
+    for method, words in (("dpm", "dpm has no network"), ("compact", "already exists")):
+        assert run("train", str(data), "--method", method, "--out", str(tmp_path / "again"), "--export", str(model)) == 2
+        assert words in capsys.readouterr().err
     assert run("train", str(other), str(other), *arguments) == 2
     assert "a dataset is named twice" in capsys.readouterr().err
 

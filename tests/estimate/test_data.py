@@ -103,6 +103,7 @@ def test_frames_may_come_without_images() -> None:
         (lambda d: d, SPEC._replace(skeleton="itop"), "no itop_joints_3d"),
         (lambda d: d.drop_vars(["labels", "amplitude"]), SPEC, "no amplitude, labels"),
         (lambda d: d.isel(joint=slice(None, None, -1)), SPEC, "another skeleton"),
+        (lambda d: d.assign(joints_3d=d["joints_3d"] * np.nan), SPEC._replace(labels=False), "no joint .* has a place in space"),
     ],
 )
 def test_a_dataset_that_does_not_fit_is_refused(change: Any, spec: FrameSpec, words: str) -> None:

@@ -106,6 +106,23 @@ def test_by_visibility(dataset: xr.Dataset, predictions: Predictions, state: Vis
     assert value.value == pytest.approx(100 * near / len(mine))
 
 
+def test_joints_without_a_place_in_space_count_in_the_image_alone(dataset: xr.Dataset, predictions: Predictions) -> None:
+    """As of labels in images that were lifted by the depth: hidden joints have no 3D."""
+    hidden = (dataset["visibility"] != Visibility.VISIBLE) & (dataset["visibility"] != Visibility.ABSENT)
+    lifted = dataset.assign(joints_3d=dataset["joints_3d"].where(~hidden))
+    before, report = (evaluate(given, predictions, OPTIONS) for given in (dataset, lifted))
+    for metric in ("mean error", "found"):
+        value = before.value(metric, "2d", "All")
+        assert value is not None
+        check(report, metric, "2d", "All", value.value)
+    seen = [c for c in cells(dataset, predictions, CABINPOSE.sets["upper body"], "3d") if c["state"] == Visibility.VISIBLE]
+    errors = np.array([c["error"] for c in seen if c["found"]], float)
+    assert 0 < len(errors) < len(seen)
+    check(report, "PCK", "3d", "All", 100 * (errors <= 0.1).sum() / len(seen), 10.0)
+    check(report, "MPJPE", "3d", "All", 100 * errors.mean())
+    check(report, "found", "3d", "All", 100 * len(errors) / len(seen))
+
+
 def test_min_visibility_leaves_joints_out(dataset: xr.Dataset, predictions: Predictions) -> None:
     every = cells(dataset, predictions, CABINPOSE.sets["upper body"], "3d")
     counts = {}

@@ -130,6 +130,26 @@ def test_the_steps_of_the_container_file(built: Path, tmp_path: Path) -> None:
     assert "usage: cabinpose" in done.stdout
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_second_day(built: Path, tmp_path: Path) -> None:
+    """The commands of docs/guides/second-day.md by the script that measures them, with one epoch and without an index."""
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    [libraries] = [path for path in sys.path if path.endswith("site-packages") and Path(path, "torch").exists()]
+    environment = os.environ | {"OFFLINE": "1", "LIBRARIES": libraries, "EPOCHS": "1"}
+    command = [ROOT / "tools" / "second_day.sh", built, tmp_path / "day"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for words in ("cabinpose synth", "cabinpose view", "mine: 150 frames of coco", "mine.onnx", "median error 3D"):
+        assert words in done.stdout
+    [spent] = re.findall(r"([\d.]+) CPU-s of them after it", done.stdout)
+    assert 0 < float(spent) <= 15
+    shown = (ROOT / "docs/guides/second-day.md").read_text(encoding="utf-8")
+    steps = re.findall(r"^(\w.*?) +[\d.]+ s +[\d.]+ CPU-s", done.stdout, re.M)
+    assert len(steps) == 9
+    assert all(step in shown for step in steps)
+
+
 def test_versions_of_glibc_are_read() -> None:
     assert _newest_glibc(b"\0GLIBC_2.4\0GLIBC_2.36\0GLIBC_2.2.5\0") == (2, 36)
     assert _newest_glibc(Path(str(_native._build.__file__)).read_bytes()) >= (2, 2)

@@ -16,6 +16,7 @@ import xarray as xr
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.pose import Visibility
+from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.store import open_dataset
 from cabinpose.store.convert import export_dataset, open_source
 from cabinpose.store.source import import_source
@@ -338,3 +339,26 @@ def test_a_box_that_is_none_is_left_out(tmp_path: Path, box: Any) -> None:
     path = tmp_path / "coco.json"
     path.write_text(json.dumps(content))
     assert (imported(path, tmp_path / "out").subject.values != "").sum() == 8
+
+
+def test_visible_joints_are_lifted_by_the_depth(tmp_path: Path) -> None:
+    """The images are flat, 1.000 m and on: a joint lies on its pixel's ray, as far behind them as it lies below the skin."""
+    path = written(tmp_path / "coco", by_hand(), "depth")
+    made = imported(path, tmp_path / "out", lift=True, intrinsics=(100.0, 110.0, 90.0, 50.0))
+    lifted = made.joints_3d[1, 0].values  # the second image, of 1.001 m
+    u, v, skin = 60.0, 26.0, CABINPOSE.skin_m["rshoulder"]
+    z = 1.001 + skin
+    np.testing.assert_allclose(lifted[CABINPOSE.index["rshoulder"]], [(u - 90) / 100 * z, (v - 50) / 110 * z, z], atol=1e-4)
+    seen = made.visibility[1, 0].values == Visibility.VISIBLE
+    assert (np.isfinite(lifted).all(axis=-1) == seen).all()
+    assert 0 < seen.sum() < (made.visibility[1, 0].values > Visibility.ABSENT).sum()  # elbows are labelled, and hidden
+
+
+def test_lifting_needs_depth_and_a_camera(tmp_path: Path) -> None:
+    path = written(tmp_path / "rgb", by_hand(), "rgb")
+    with pytest.raises(DatasetError, match="no images of depth"):
+        imported(path, tmp_path / "a", lift=True, fov_deg=90.0)
+    path = written(tmp_path / "depth", by_hand(), "depth")
+    with pytest.raises(DatasetError, match="camera is not known") as caught:
+        imported(path, tmp_path / "b", lift=True)
+    assert "--camera" in caught.value.hint

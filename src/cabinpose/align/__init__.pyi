@@ -22,5 +22,4 @@ from .session import SubjectSession as SubjectSession
 from .session import calibrate as calibrate
 from .session import correct_pose as correct_pose
 from .streams import on_host as on_host
-from .visibility import surface_depth as surface_depth
 from .visibility import visibility as visibility

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import CABINPOSE, JOINTS, Camera, Visibility
+from cabinpose.core import CABINPOSE, JOINTS, Camera, Visibility, surface_depth
 
 F64 = NDArray[np.float64]
 
-_WINDOW = 2  # px to each side of a joint's pixel: their median stands for the surface there
 _LIMB_M = 0.13  # a surface so near to a bone of the skeleton belongs to its body
 _REACH = np.array([*CABINPOSE.reach_m.values()])
 _ENDS = np.array(CABINPOSE.limbs)
@@ -44,14 +43,6 @@ def visibility(camera: Camera, depth_m: NDArray[np.floating], joints: F64) -> tu
             near = others.any() and _distance(point, ends[others]).min() < _LIMB_M
             states[joint] = Visibility.SELF_OCCLUDED if near else Visibility.OCCLUDED
     return states, before
-
-
-def surface_depth(depth_m: NDArray[np.floating], uv: F64) -> float:
-    """Median depth around a pixel, m; NaN where nothing was measured."""
-    u, v = np.rint(uv).astype(int)
-    window = depth_m[max(v - _WINDOW, 0) : v + _WINDOW + 1, max(u - _WINDOW, 0) : u + _WINDOW + 1]
-    valid = window[np.isfinite(window)]
-    return float(np.median(valid)) if len(valid) else float("nan")
 
 
 def _distance(point: F64, ends: F64) -> F64:

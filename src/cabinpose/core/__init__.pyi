@@ -11,6 +11,7 @@ from .arrays import Ints32 as Ints32
 from .arrays import distinct_rows as distinct_rows
 from .camera import Camera as Camera
 from .camera import Distortion as Distortion
+from .camera import surface_depth as surface_depth
 from .camera_check import camera_doubts as camera_doubts
 from .camera_check import camera_from as camera_from
 from .camera_check import camera_objections as camera_objections

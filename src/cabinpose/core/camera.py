@@ -21,6 +21,7 @@ from cabinpose.core.errors import ConfigError
 Array = NDArray[np.float64]
 Distortion = tuple[float, float, float, float, float]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
+_WINDOW = 2  # px to each side of a pixel: their median stands for the surface there
 _ROUNDED = 1e-7  # of the size of a cubic's coefficients: a double root at 0 is as far off by rounding
 _TANGENTIAL = 1.02  # what tangential distortion may add to the radius at which the model folds: a factor
 
@@ -204,3 +205,11 @@ def _scaled(camera: Camera, factor: int) -> Camera:
     shift = (factor - 1) / 2  # an integer is a pixel's centre
     size, focal = (camera.width * factor, camera.height * factor), (camera.fx * factor, camera.fy * factor)
     return Camera(*size, *focal, camera.cx * factor + shift, camera.cy * factor + shift, camera.dist)
+
+
+def surface_depth(depth_m: NDArray[np.floating], uv: Array) -> float:
+    """Median of the valid depths in 5 x 5 pixels about a pixel (2,) of an image (H, W), m; NaN where nothing was measured."""
+    u, v = np.rint(uv).astype(int)
+    window = depth_m[max(v - _WINDOW, 0) : v + _WINDOW + 1, max(u - _WINDOW, 0) : u + _WINDOW + 1]
+    valid = window[np.isfinite(window)]
+    return float(np.median(valid)) if len(valid) else float("nan")

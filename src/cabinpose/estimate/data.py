@@ -134,6 +134,12 @@ class GeneratedFrames(IterableDataset[Kept]):
             yield view_frame(self._make(index), self._spec, self._rows)
 
 
+_WITHOUT = {  # what to do about an image that the dataset does not have
+    "rgb": "generate it with images={variables: [rgb]}, or choose a method without it",
+    "amplitude": "settings: {amplitude: false} in the file of --config does without, or generate it with this variable",
+}
+
+
 def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
     """Rows of the dataset's `person` that hold the places of a spec. Raises DatasetError where something does not fit."""
     if not dataset.sizes["frame"]:
@@ -150,8 +156,7 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
         )
     absent = [name for name in spec.images if name not in dataset]
     if absent:
-        how = "with images={variables: [rgb]}" if absent == ["rgb"] else "with these variables"
-        raise DatasetError(f"the dataset has no {', '.join(absent)}", hint=f"generate it {how}, or choose a method without them")
+        raise DatasetError(f"the dataset has no {', '.join(absent)}", hint=_WITHOUT.get(absent[0], "choose a method without it"))
     whole, found = SKELETONS[spec.skeleton].joints, tuple(dataset[joint_dimension(spec.skeleton)].values)
     if found != whole:
         raise DatasetError(
@@ -162,6 +167,11 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
         raise DatasetError("the dataset's classes tell no parts of the body apart", hint="set classes: person")
     if not spec.labels and not dataset["visibility"].any():
         raise DatasetError("the dataset has nobody whose joints are known", hint="unet learns from pixel classes alone")
+    if not spec.labels and not np.isfinite(dataset[name]).any():
+        raise DatasetError(
+            f"no joint of the dataset has a place in space ({name} is unknown), which methods learn from",
+            hint="labels of images get one by their depth: cabinpose import coco --lift",
+        )
     return [persons.index(slot) for slot in spec.slots]
 
 

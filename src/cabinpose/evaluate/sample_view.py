@@ -100,10 +100,11 @@ class SampleView:
 
     @cached_property
     def counts(self) -> Bool:
-        """(S, J) true joints that count and have this visibility."""
+        """(S, J) true joints that count, have this visibility, and a known place in this space."""
+        counts = self.samples.counts if self.space == "image" else self.samples.counts & self.errors.known
         if self.visibility == ANY:
-            return self.samples.counts
-        return self.samples.counts & (self.samples.visibility == Visibility[self.visibility.upper()])
+            return counts
+        return counts & (self.samples.visibility == Visibility[self.visibility.upper()])
 
     @cached_property
     def found(self) -> Bool:

@@ -44,7 +44,8 @@ class Space(NamedTuple):
     """Errors of S samples in one space, px or m, all (S, J), NaN where there is nothing to measure.
 
     found: whether the joint was found here · error: its distance to the truth · swap: 1 or 0 at the left joint of a pair ·
-    jitter: acceleration error a frame² · aligned, bone: in 3D only · head: (S,) head size.
+    jitter: acceleration error a frame² · aligned, bone: in 3D only · head: (S,) head size · known: whether the truth is known
+    here; in 3D it is not of every joint that counts where labels of images were lifted by the depth.
     """
 
     found: Bool
@@ -54,6 +55,7 @@ class Space(NamedTuple):
     swap: Float
     jitter: Float
     head: Float
+    known: Bool
 
 
 class Samples(NamedTuple):
@@ -231,7 +233,7 @@ def _space(skeleton: Skeleton, predicted: Float, true: NDArray[np.floating], fou
         aligned, bone = errors.aligned_distances(p, t), errors.bone_length_errors(p, t, skeleton.limbs)
     measured = errors.distances(p, t), aligned, bone, errors.swaps(p, t, skeleton.pairs)
     distance, aligned, bone, swap = (x.astype(np.float32) for x in measured)
-    return Space(found, distance, aligned, bone, swap, jitter, head)
+    return Space(found, distance, aligned, bone, swap, jitter, head, errors.finite(t))
 
 
 def _jitter(

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from cabinpose.app.cli.arguments import DatasetPath, Maybe, PrintsJson, several
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError, Registry
+from cabinpose.core import ConfigError, Registry, check_output
 
 if TYPE_CHECKING:
     from cabinpose.app.training_split import Sides
@@ -60,6 +60,8 @@ class Train(PrintsJson):
     """Machines, started by Lightning's launchers."""
     logger: Annotated[tuple[str, ...], several("{tensorboard,mlflow,wandb} ...")] = ()
     """What else the figures are written to, in log; each is an extra."""
+    export: Maybe[Path] = None
+    """ONNX file to write the best epoch to as well, as `cabinpose export onnx` does."""
     init: Maybe[Path] = None
     """Checkpoint of an earlier run of the same network to start from, or such a model of `compact`: packaged, or an ONNX file."""
     resume: bool = False
@@ -78,17 +80,20 @@ def run(command: Train) -> None:
     if command.val is not None and (command.splits is not None or not 0 < command.val < 1):
         why = "--splits says who validates" if command.splits is not None else f"--val {command.val:g} is no share"
         raise ConfigError(why, hint="leave out --val, or give a number between 0 and 1 and no --splits")
-    from cabinpose.estimate import check_loggers, read_train_config
+    from cabinpose.estimate import METHODS, ArrayMethod, check_loggers, read_train_config
 
     config = read_train_config(command.config, command.method)  # what is wrong is told before torch is loaded
     check_loggers(command.logger)
+    fitted = isinstance(METHODS[config.method], ArrayMethod)
+    if command.export is not None:
+        _check_export(command.export, config.method, fitted=fitted, replaced=command.resume)
     helps = any(os.environ.get(name, "0") != "0" for name in _RANKS)
     sides = None if command.synth is not None else _sides(command, helps=helps)
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress(silent=helps)), False
         report.phase("loading torch")
         from cabinpose.app.report.raster import write_curves
-        from cabinpose.estimate import METHODS, ArrayMethod, Machines, Observers, Start, fit, frame_spec
+        from cabinpose.estimate import Machines, Observers, Start, export_onnx, fit, frame_spec
 
         def show(done: int, total: int, note: str) -> None:
             nonlocal report, counted
@@ -100,7 +105,7 @@ def run(command: Train) -> None:
             else:
                 report.phase(note)
 
-        unit = "steps" if isinstance(METHODS[config.method], ArrayMethod) else "batches"
+        unit = "steps" if fitted else "batches"
         report.phase("opening datasets")
         training, validation = _frames(command, sides, frame_spec(config), config.seed)
         draw = partial(write_curves, command.out / "curves.png")
@@ -111,14 +116,29 @@ def run(command: Train) -> None:
         )  # fmt: skip
     if helps:
         return
+    if command.export is not None:
+        with progress() as report:
+            report.phase("exporting and comparing with torch")
+            export_onnx(best, command.export, name=command.export.stem, card={}, overwrite=command.resume)
     if command.as_json:
-        print_json({"best": str(best)})
+        print_json({"best": str(best)} | ({} if command.export is None else {"onnx": str(command.export)}))
+        return
+    print(best)
+    if command.export is not None:
+        print(command.export)
+    elif fitted:
+        print(f"it is the model: cabinpose models {best}", file=sys.stderr)
     else:
-        print(best)
-        if best.suffix == ".npz":
-            print(f"it is the model: cabinpose models {best}", file=sys.stderr)
-            return
         print(f"export it with: cabinpose export onnx {best} --out {command.out / 'model.onnx'}", file=sys.stderr)
+
+
+def _check_export(out: Path, method: str, *, fitted: bool, replaced: bool) -> None:
+    """Raise ConfigError or OutputError where the best epoch of a run of this method cannot be exported to `out`."""
+    if fitted:
+        raise ConfigError(f"{method} has no network", hint="leave --export out: its run writes best.npz, which is the model")
+    if out.exists() and not replaced:
+        raise ConfigError(f"{out} already exists", hint="give another file with --export")
+    check_output(out)
 
 
 def _sides(command: Train, *, helps: bool) -> Sides:

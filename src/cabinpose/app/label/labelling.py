@@ -15,8 +15,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.align import surface_depth, visibility
-from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility, images_of
+from cabinpose.align import visibility
+from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility, images_of, surface_depth
 from cabinpose.evaluate import frame_batch
 from cabinpose.store import Change, JointLabel, Key, Labels, Manifest, Predictions, camera_of, dataset_id
 

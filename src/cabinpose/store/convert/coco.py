@@ -11,9 +11,9 @@ its joints, `info` the list of slots and the scale of the images.
 Read: ours, or any with people's keypoints by name. A COCO file knows pixels, not metres: `joints_3d` is NaN, and a labelled joint
 has its visibility and `joints_2d` alone. v = 0 is absent, 1 occluded, 2 visible. Keypoints are those of COCO's 17 that the
 skeleton has; nose, eyes and ears are left out. Crowds (`iscrowd`), boxes without keypoints and people without a labelled joint
-are no people here; an image without anybody is a frame with nobody. Our own exports with images of 8 bits come back without
-images: steps of 16 mm of depth are too coarse for a dataset. The file may be larger than memory: it is read element by element,
-and what is kept of a person are keypoints and run lengths, about 1 kB.
+are no people here; an image without anybody is a frame with nobody. With `lift` visible joints have `joints_3d` (`lift_visible`).
+Our own exports with images of 8 bits come back without images: steps of 16 mm of depth are too coarse for a dataset. The file
+may be larger than memory: it is read element by element, and what is kept of a person are keypoints and run lengths, about 1 kB.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from cabinpose.store.convert.reading import (
     Origin,
     given_camera,
     json_elements,
+    lift_visible,
     make_manifest,
     put_camera,
     read_image,
@@ -68,6 +69,8 @@ class CocoImport(ImportOptions):
 
     images: Path | None = None
     """Folder of the images; default: `images` beside `annotations`, else joints only."""
+    lift: bool = False
+    """Give joints that are seen (v = 2) a place in space, from the depth at their pixel: what training and 3D figures need."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +118,7 @@ class CocoFormat(DatasetFormat):
             persons=persons,
             variables=tuple(variables),
             licence=", ".join(file.licences) or UNKNOWN,
+            config={"lift": options.lift},
         )
         note = (
             f"the images are {file.images_kind}, too coarse for a dataset: joints and masks are imported without them "
@@ -306,9 +310,6 @@ def _images_beside(annotations: Path) -> Path | None:
     return folder if annotations.parent.name == "annotations" and folder.is_dir() else None
 
 
-# ------------------------------------------------------------------------------------------------------ annotations
-
-
 def _read_file(path: Path) -> _File:
     file = _File(path)
     for key, element in json_elements(path, _KEYS, hint=_HINT):
@@ -414,7 +415,7 @@ def _check_people(file: _File) -> None:
 # ----------------------------------------------------------------------------------------------------------- frames
 
 
-def _frames(file: _File, folder: Path | None, manifest: Manifest, options: ImportOptions) -> Iterator[dict[str, Any]]:
+def _frames(file: _File, folder: Path | None, manifest: Manifest, options: CocoImport) -> Iterator[dict[str, Any]]:
     columns = {
         category: np.array([(i, CABINPOSE.index[_OURS[name]]) for i, name in enumerate(names) if name in _OURS]).T
         for category, names in file.names.items()
@@ -439,6 +440,8 @@ def _frames(file: _File, folder: Path | None, manifest: Manifest, options: Impor
             frame["joints_2d"][position, ours[labelled]] = person.keypoints[theirs[labelled], :2]
             if masks:
                 frame["instance"][_mask(person, image, file.path)] = position + 1
+        if options.lift:
+            lift_visible(frame, manifest)
         yield frame
 
 

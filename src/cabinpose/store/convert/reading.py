@@ -17,10 +17,20 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cabinpose import __version__
-from cabinpose.core import OCCUPANT_SLOTS, Camera, ConfigError, DatasetError, Visibility, check_camera
+from cabinpose.core import (
+    CABINPOSE,
+    OCCUPANT_SLOTS,
+    Camera,
+    ConfigError,
+    DatasetError,
+    Visibility,
+    camera_from,
+    check_camera,
+    surface_depth,
+)
 from cabinpose.store.convert.camera_file import read_camera
 from cabinpose.store.convert.format import ImportOptions
-from cabinpose.store.schema import VARIABLE, Manifest
+from cabinpose.store.schema import DEPTH_SCALE_M, VARIABLE, Manifest
 from cabinpose.store.source import UNKNOWN
 
 _MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
@@ -127,6 +137,24 @@ def make_manifest(
 def put_camera(frame: dict[str, Any], camera: Camera) -> None:
     """Give a frame its intrinsics."""
     frame["camera_k"], frame["camera_dist"] = camera.k, np.array(camera.dist)
+
+
+def lift_visible(frame: dict[str, Any], manifest: Manifest) -> None:
+    """Give everybody's visible joints `joints_3d` by the depth (ticks) at their pixels; DatasetError without it or intrinsics.
+
+    A joint lies on the ray of its pixel, as far behind the surface there as below the skin of an adult of medium size.
+    """
+    if "depth" not in manifest.variables:
+        raise DatasetError("there are no images of depth to lift joints by", hint="give 16-bit PNGs in mm with --images")
+    if not np.isfinite(frame["camera_k"]).all():
+        raise DatasetError("the camera is not known, by which joints are lifted", hint="give its calibration with --camera")
+    camera = camera_from(frame["camera_k"], frame["camera_dist"], manifest.width, manifest.height)
+    depth = np.where(frame["depth"] > 0, frame["depth"] * DEPTH_SCALE_M, np.nan)
+    for person, joint in np.argwhere(frame["visibility"] == Visibility.VISIBLE):
+        uv = frame["joints_2d"][person, joint]
+        if camera.contains(uv):
+            z = surface_depth(depth, uv) + CABINPOSE.skin_m[CABINPOSE.joints[joint]]
+            frame["joints_3d"][person, joint] = camera.unproject(uv, z)
 
 
 def put_person(
