@@ -33,7 +33,7 @@ step() {
     read -r wall user system <<<"$(tail -n 1 time.txt)"
     cpu=$(awk "BEGIN { print $user + $system }")
     spent=$(awk "BEGIN { print $spent + $cpu }")
-    printf '%-22s %6.1f s %7.1f CPU-s   %.60s\n' "$1" "$wall" "$cpu" "${ended:-done}"
+    printf '%-22s %6.1f s %7.1f CPU-s   %.40s\n' "$1" "$wall" "$cpu" "${ended:-done}"
 }
 
 # steps TITLE: the commands of a section, each a step
