@@ -612,3 +612,14 @@ def test_a_camera_is_set_up_in_its_panel(extension: Callable[..., None]) -> None
         await user.should_see("integration_us is given twice", retries=100)
 
     used(Workspace(), steps)
+
+
+def test_the_keys_of_a_tab_are_listed(workspace: Workspace) -> None:
+    async def steps(user: User) -> None:
+        await user.should_not_see("interpolate up to")
+        user.find("keyboard", kind=ui.button).click()
+        await user.should_see("interpolate up to the next labelled frame")
+        for title in ("Dataset", "Label", "Everywhere"):
+            await user.should_see(title, kind=ui.label)
+
+    used(workspace, steps)

@@ -11,7 +11,7 @@ const KEYS_OF = [ // which keys belong to what has the keyboard outside the imag
   ["[role=slider], .q-slider", (key) => key === "Tab" || key.startsWith("Arrow")],
   ["*", (key) => key === "Tab"],
 ];
-const OURS = /^(.|Enter|Tab|Escape|Arrow.*)$/; // browsers keep the others
+const OURS = /^([^?]|Enter|Tab|Escape|Arrow.*)$/; // browsers keep the others, and the page the list of keys
 const counted = (count) => (count === 1 ? "1 input" : count + " inputs");
 
 export default {

@@ -15,6 +15,7 @@ from pydantic import BaseModel, Field
 from cabinpose.app.view.draw import colour_map
 
 GREY = [[value, value, value] for value in range(256)]  # a palette: black to white
+IMAGE_KEYS = "wheel", "zoom; Shift and drag: move; double click: all"  # of every image
 MOST_INPUTS = 100  # of a browser in one request
 
 

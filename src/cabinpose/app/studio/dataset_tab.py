@@ -8,7 +8,7 @@ import numpy as np
 from nicegui import run, ui
 from numpy.typing import NDArray
 
-from cabinpose.app.studio.canvas import GREY, FrameCanvas
+from cabinpose.app.studio.canvas import GREY, IMAGE_KEYS, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.models import FrameErrors, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
@@ -342,4 +342,8 @@ def _build(page: Page) -> None:
         DatasetTab(page)
 
 
-TAB = Tab("Dataset", _build, of_dataset=True)
+_KEYS = (
+    ("← →", "the frame before, the next one"), ("Enter", "in the condition: the frames for which it holds"),
+    ("Tab", "in the condition: take what it completes"), IMAGE_KEYS,
+)  # fmt: skip
+TAB = Tab("Dataset", _build, _KEYS, of_dataset=True)

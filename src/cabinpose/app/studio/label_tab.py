@@ -12,7 +12,7 @@ import numpy as np
 from nicegui import run, ui
 
 from cabinpose.app.label.labelling import Labelling, Shown, Undone
-from cabinpose.app.studio.canvas import GREY, FrameCanvas, Input
+from cabinpose.app.studio.canvas import GREY, IMAGE_KEYS, FrameCanvas, Input
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.exchange import Exchange, Passing
 from cabinpose.app.studio.models import choices, first_choice, frame_errors, load_choice, worst_first
@@ -28,14 +28,14 @@ _STATE_KEYS = {
     "x": Visibility.ABSENT,
 }  # fmt: skip
 _NUDGE = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
-_HELP = (
+_KEYS = (
     ("click", "place the chosen joint, and go to the next"), ("drag", "move a joint"),
     ("Tab", "next joint; Shift: the one before"),
     ("v s h o x", "visible, self-occluded, hidden, outside, absent"), ("arrows", "move it by 1 px; Shift: 5 px"),
     ("Enter", "accept all that is shown, and go to the next frame"), ("c", "copy from the last labelled frame"),
     ("i", "interpolate up to the next labelled frame"), ("z", "undo"), ("f b", "next frame, the one before"),
     ("Esc", "leave the image: Tab goes through the page"),
-    ("wheel", "zoom; Shift and drag: move; double click: all"),
+    IMAGE_KEYS,
 )  # fmt: skip
 _ORDERS = {"order": "in order", "unsure": "unsure first", "open": "not labelled yet"}
 _WORST = "worst:"  # and the name of predictions
@@ -123,11 +123,6 @@ class LabelTab:
             self._saved = ui.label().style("font-size: 12px; opacity: .7; flex: 1")
             Exchange(self._workspace, self._labelling, self._page.of_studio(Passing), self._show)
             ui.button(icon="history", on_click=self._history).props("flat round dense").tooltip("history of this frame")
-        with ui.expansion("Keys", icon="keyboard").classes("w-full").props("dense"):
-            for keys, what in _HELP:
-                with ui.row().classes("no-wrap w-full").style("gap: 8px; font-size: 12px"):
-                    ui.label(keys).classes("studio-key").style("white-space: nowrap")
-                    ui.label(what)
 
     # ------------------------------------------------------------------------------------------------ what is asked for
 
@@ -465,4 +460,4 @@ def _build(page: Page) -> None:
     page.show_frame = LabelTab(page, labelling).show_frame
 
 
-TAB = Tab("Label", _build, of_dataset=True, shared=Passing)
+TAB = Tab("Label", _build, _KEYS, of_dataset=True, shared=Passing)

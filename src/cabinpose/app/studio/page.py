@@ -93,6 +93,9 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
         if tab:
             bar.value = tab
 
+    def list_keys() -> None:
+        _list_keys(str(bar.value))
+
     ui.colors(primary="#2f6f9f")
     with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
         ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
@@ -100,6 +103,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
             for tab in TABS:
                 ui.tab(tab.name)
         opened = ui.label(_opened(workspace)).classes("studio-opened")
+        ui.button(icon="keyboard", on_click=list_keys).props("flat round dense color=white").tooltip("Keys: ?")
         ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
             "Light or dark"
         )
@@ -109,7 +113,34 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
         for tab in TABS:
             panels[tab.name] = ui.tab_panel(tab.name)
             fill(tab)
+    ui.keyboard(on_key=lambda event: list_keys() if event.action.keydown and event.key == "?" else None)
     ui.timer(1.0, renew)  # another browser may have opened a dataset
+
+
+_EVERYWHERE = (
+    ("?", "this list"),
+    ("Tab, Shift Tab", "through the page"),
+    ("← →", "in the bar: another tab; on a slider: move it"),
+)
+
+
+def _list_keys(front: str) -> None:
+    """What which keys do, in the tab in front first."""
+    with ui.dialog() as dialog, ui.card().style("max-width: 640px"):
+        for tab in sorted(TABS, key=lambda tab: tab.name != front):
+            if tab.keys:
+                _keys(tab.name, tab.keys)
+        _keys("Everywhere", _EVERYWHERE)
+    dialog.on("hide", dialog.delete)
+    dialog.open()
+
+
+def _keys(title: str, keys: Sequence[tuple[str, str]]) -> None:
+    ui.label(title).style("font-weight: 600")
+    with ui.grid(columns="auto 1fr").style("gap: 4px 12px; font-size: 13px"):
+        for key, what in keys:
+            ui.label(key).classes("studio-key").style("justify-self: start; white-space: nowrap")
+            ui.label(what)
 
 
 def _opened(workspace: Workspace) -> str:

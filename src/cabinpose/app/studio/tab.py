@@ -67,11 +67,13 @@ class Page:
 class Tab:
     """A tab: its name in the bar, and what builds it on a page.
 
-    of_dataset: it is built anew when another dataset is opened · shared: makes what its browsers share, once a studio.
+    keys: what each does there · of_dataset: it is built anew when another dataset is opened · shared: makes what its browsers
+    share, once a studio.
     """
 
     name: str
     build: Callable[[Page], None]
+    keys: Sequence[tuple[str, str]] = ()
     of_dataset: bool = False
     shared: Callable[[Workspace], Shared] | None = None
 
