@@ -196,7 +196,7 @@ ANSWERS = [
     ("train d --out run --device 0", "--devices"),
     ("train d --out run --config run.yaml", "run.yaml: lr0: unknown key", "did you mean learning_rate?"),
     ("view d out", "--out out"),
-    ("view", "`cabinpose view` needs DATASET|RECORDING and --out PATH"),
+    ("view", "`cabinpose view` needs DATASET|RECORDING", "Folder of the dataset"),
     ("info", "`cabinpose info` needs DATASET|RECORDING"),
     ("serve", "`cabinpose serve` needs MODEL"),
     ("serve in_car --port http", "--port must be a whole number, not 'http'"),

@@ -250,6 +250,8 @@ def _wrong_objects(
             absent.insert(0, flag)
     if rest:
         name = _ENDINGS.get(Path(rest[0]).suffix) or (absent[0].name if len(absent) == 1 and not absent[0].positional else "")
+        if not (name or absent or Path(rest[0]).suffix or "--out" in given):  # a folder, by its looks
+            name = "--out"
         if "=" in rest[0] and name not in flags:
             meant = "KEY=VALUE belongs to `cabinpose synth` and `cabinpose config check`; "
         else:
