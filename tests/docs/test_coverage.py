@@ -69,7 +69,7 @@ CONSOLE = re.compile(r"^```console[^\n]*\n(.*?)^```", re.M | re.S)
 def named_commands(text: str) -> list[str]:
     """What stands behind `cabinpose` in the consoles of a page, and between its backticks where it has flags."""
     consoles = [re.sub(r"\\\n\s*", " ", block) for block in CONSOLE.findall(text)]
-    typed = re.findall(r"^\$ cabinpose ([^#|>&\n]+)", "\n".join(consoles), re.M)
+    typed = re.findall(r"^\$ cabinpose ((?:'[^'\n]*'|[^#|>&\n])+)", "\n".join(consoles), re.M)
     told = re.findall(r"`(?:cabinpose )?([a-z][\w-]*(?: [^`]*)? --[^`]+)`", CONSOLE.sub("", text))
     told = [" ".join(re.sub(r"[|…]", " ", words).split()) for words in told]
     return [words for words in (*typed, *told) if words.split()[0] in VERBS]
