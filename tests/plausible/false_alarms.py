@@ -60,9 +60,9 @@ def heard(said: Said, what: str, act: Callable[[], object]) -> None:
 
 
 def out_of_range(dataset: xr.Dataset) -> np.ndarray:
-    """(F,) whether people are in the image, and fewer than a twentieth of their pixels have a depth."""
-    there = dataset["instance"].values > 0
-    measured = there & np.isfinite(dataset["depth"].values)
+    """(F,) whether people are in the image, and fewer than a twentieth of their pixels have a depth, or one that did not wrap."""
+    there, depth, true = dataset["instance"].values > 0, dataset["depth"].values, dataset["depth_clean"].values
+    measured = there & (np.abs(depth - true) < 0.1 * true)  # False for NaN
     return np.asarray(measured.sum(axis=(1, 2)) < 0.05 * there.sum(axis=(1, 2)))
 
 
