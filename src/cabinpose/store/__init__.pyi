@@ -27,6 +27,8 @@ from .labels import JointLabel as JointLabel
 from .labels import Key as Key
 from .labels import Labels as Labels
 from .labels import labels_of as labels_of
+from .labels import read_history as read_history
+from .labels import read_labels as read_labels
 from .labels import with_labels as with_labels
 from .lazy import open_dataset as open_dataset
 from .lazy import points_m as points_m

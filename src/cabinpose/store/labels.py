@@ -182,13 +182,18 @@ class Change:
         return json.dumps(row, allow_nan=False) + "\n"
 
 
-def read_labels(path: Path) -> tuple[dict[str, Any], dict[Key, JointLabel]]:
-    """The header of a journal and what holds for each joint, read without locking it. Raises DatasetError."""
+def read_history(path: Path) -> tuple[dict[str, Any], list[Change]]:
+    """The header of a journal and all its changes, read without locking it. Raises DatasetError."""
     try:
         text = path.read_bytes()
     except OSError as error:
         raise DatasetError(f"cannot read {path} ({error.strerror})", hint="give the labels that the studio wrote") from error
-    header, changes = _parsed(path, text[: text.rfind(b"\n") + 1], None)
+    return _parsed(path, text[: text.rfind(b"\n") + 1], None)
+
+
+def read_labels(path: Path) -> tuple[dict[str, Any], dict[Key, JointLabel]]:
+    """The header of a journal and what holds for each joint, read without locking it. Raises DatasetError."""
+    header, changes = read_history(path)
     labels: dict[Key, JointLabel] = {}
     _apply(labels, changes)
     return header, labels

@@ -23,15 +23,18 @@ if TYPE_CHECKING:
 class Info(SelectsFrames):
     """Summarise a dataset (frames by car, person, action and view) or a recording (sources, rates, gaps, losses).
 
-    With --subject: list the takes of a person in a folder of recordings.
+    With --subject: list the takes of a person in a folder of recordings. Of labels (.labels.jsonl): who set what and when; with
+    --against, how far two who labelled the same frames agree.
     """
 
     dataset: ThingArgument
-    """Folder of the dataset, or a recording (.mcap)."""
+    """Folder of the dataset, a recording (.mcap), or labels that the studio wrote (.labels.jsonl)."""
     verify: bool = False
     """Read every frame of a dataset, which compares every checksum; those of a recording are always compared."""
     subject: Maybe[str] = None
     """List the takes of this subject code in the folder."""
+    against: Maybe[Path] = None
+    """Labels of somebody else for the same dataset."""
 
 
 COMMAND = Info
@@ -39,7 +42,12 @@ COMMAND = Info
 
 def run(command: Info) -> None:
     """Print the summary; with `verify`, after every frame was read."""
-    if command.subject is not None:
+    if command.dataset.suffix == ".jsonl":
+        refuse_selection(command, "{} is of datasets, and these are labels")
+        _print_labels(command.dataset, command.against, as_json=command.as_json)
+    elif command.against is not None:
+        raise ConfigError(f"{command.dataset} holds no labels, which --against compares", hint="give two .labels.jsonl files")
+    elif command.subject is not None:
         if (command.dataset / "dataset.yaml").exists():
             raise ConfigError(
                 f"{command.dataset} is a dataset, and --subject lists recordings",
@@ -85,6 +93,33 @@ def _print_dataset(command: Info) -> None:
         if unchecked or manifest.checksum is None:
             where = ["dataset.yaml"] * (manifest.checksum is None) + [f"{unchecked} of {summary.parts} parts"] * bool(unchecked)
             print(f"{' and '.join(where)} were written without a checksum of names and settings, which are therefore unchecked")
+
+
+def _print_labels(path: Path, against: Path | None, *, as_json: bool) -> None:
+    """Who labelled what and when; and how far somebody else agrees."""
+    from cabinpose.app.label.agreement import agreement_of, work_of
+    from cabinpose.store import read_history
+
+    header, history = read_history(path)
+    works, agreement = work_of(history), None if against is None else agreement_of(path, against)
+    if as_json:
+        roles = [dataclasses.asdict(work) for work in works]
+        compared = {} if agreement is None else {"agreement": dataclasses.asdict(agreement)}
+        print_json({"labels": str(path), "dataset": header["dataset"], "roles": roles} | compared)
+        return
+    rows = [("labels", str(path)), ("of dataset", str(header["dataset"]))]
+    for work in works:
+        span = f"{work.first[:16]} to {work.last[:16]} UTC; {listed(work.how)}"
+        rows.append((work.role, f"{work.joints} joints of {work.frames} people in frames, {span}"))
+    if agreement is not None:
+        one, other = agreement.alone
+        rows.append(("labelled by both", f"{agreement.joints} joints of {agreement.frames}; alone {one} here, {other} there"))
+        if agreement.median_px is not None:
+            within = ", ".join(f"{100 * share:.0f} % within {limit:g} px" for limit, share in agreement.within.items())
+            rows.append(("apart", f"median {agreement.median_px:.1f} px, 90 % within {agreement.p90_px:.1f} px; {within}"))
+        beyond = "" if agreement.kappa is None else f", beyond chance (Cohen's kappa) {agreement.kappa:.2f}"
+        rows.append(("seen alike", f"{100 * agreement.same_state:.0f} % of the joints{beyond}"))
+    print_rows(rows)
 
 
 def _dataset_rows(s: DatasetSummary) -> list[tuple[str, str]]:
