@@ -262,15 +262,28 @@ def test_asking_waits_no_longer_than_it_must() -> None:
 # ------------------------------------------------------------------------------------------------ what goes wrong
 
 
-def test_an_sdk_that_is_not_installed_is_named_with_the_remedy(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
+@pytest.mark.parametrize(
+    ("kind", "camera", "package", "remedy"),
+    [
+        ("orbbec", "an Orbbec camera", "pyorbbecsdk", "pip install 'cabinpose[orbbec]'"),
+        (
+            "realsense",
+            "a RealSense camera",
+            "pyrealsense2",
+            "pip install 'cabinpose[realsense]'; on Linux it needs libusb-1.0 too",
+        ),
+        ("oak", "an OAK camera", "depthai", "pip install 'cabinpose[oak]'"),
+    ],
+)
+def test_an_sdk_that_is_not_installed_is_named_with_the_remedy(
+    run: Run, monkeypatch: pytest.MonkeyPatch, kind: str, camera: str, package: str, remedy: str
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setenv("DEPTHAI_LEVEL", "off")  # a source sets it, for good
     monkeypatch.setattr("cabinpose.app.cli.live.load", lambda *_: [Model()])
-    outcome = run("live", "--source", "orbbec")
+    outcome = run("live", "--source", kind)
     assert outcome.code == 2
-    assert outcome.err == (
-        "error: an Orbbec camera needs the Python package pyorbbecsdk, which is not installed\n"
-        "hint: pip install 'cabinpose[orbbec]'\n"
-    )
+    assert outcome.err == f"error: {camera} needs the Python package {package}, which is not installed\nhint: {remedy}\n"
 
 
 def test_failing_detector_ends_the_run_or_is_counted(dataset_folder: Path) -> None:

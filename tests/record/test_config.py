@@ -72,6 +72,7 @@ def test_each_kind_is_a_source_with_described_settings(kind: str) -> None:
         "replay": {"path": "a.mcap"},
         "stepper": {"port": "a.tty"},
     }
+    paths["v4l2"] = {"device": "a.video", "depth_unit_m": 0.001, "lens": {"fx": 500, "fy": 500, "cx": 320, "cy": 240}}
     paths["mt"] = {"port": "a.tty", "sensors": {"head": "03880C2A"}}
     needed = {**paths, "lsl": {"stream": "eeg"}, "genicam": {"producer": "a.cti"}, "synth": {"scenes": "a.yaml"}}
     (plan,) = parse_rig({"sources": {"a": {"kind": kind, **needed.get(kind, {})}}}).sources
@@ -114,7 +115,7 @@ def test_what_is_a_camera_and_who_plays_which_files(extension: Callable[..., Non
     extension("playing", {"sources": {"played": "Played"}}, OTHER + "class Played(Source): plays = '.acme'\n")
     extension("broken", {"sources": {"lidar": "Source"}}, "import no_such_module")
     with pytest.warns(UserWarning, match="of broken .*; it is left out"):
-        assert cameras() == ["simulated", "synth", "royale", "bta", "genicam", "orbbec"]
+        assert cameras() == ["simulated", "synth", "royale", "bta", "genicam", "orbbec", "realsense", "oak", "v4l2"]
     assert player_of(".mkv") == "azure_mkv"
     with pytest.warns(UserWarning, match="of broken"):
         assert (player_of(".acme"), player_of(".nix")) == ("played", None)

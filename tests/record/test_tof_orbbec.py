@@ -479,7 +479,7 @@ def test_losses_and_the_clock(sdk: FakeSdk) -> None:
 
 @pytest.mark.parametrize("how", ["error", "pybind11's error", "gone", "came back meanwhile"])
 def test_a_camera_that_is_pulled_out_is_reached_again(sdk: FakeSdk, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
-    monkeypatch.setattr("cabinpose.record.sources.tof.orbbec._QUIET_S", 0.02)
+    monkeypatch.setattr("cabinpose.record.sources.tof.polled._QUIET_S", 0.02)
     source = make(reconnect_s=0.01)
     source.open()
     device = sdk.devices.pop()
@@ -512,7 +512,7 @@ def test_a_camera_that_is_pulled_out_is_reached_again(sdk: FakeSdk, monkeypatch:
 
 
 def test_a_camera_that_waits_for_a_trigger_is_not_restarted(sdk: FakeSdk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cabinpose.record.sources.tof.orbbec._QUIET_S", 0.01)
+    monkeypatch.setattr("cabinpose.record.sources.tof.polled._QUIET_S", 0.01)
     source = make(reconnect_s=0.001)
     source.open()
     for _ in range(10):

@@ -552,7 +552,8 @@ def test_cameras_of_extensions_are_offered(extension: Callable[..., None], tmp_p
 
     async def steps(user: User) -> None:
         user.find("Live", kind=ui.tab).click()
-        assert marked(user, "source").options == ["simulated", "synth", "royale", "bta", "genicam", "orbbec", "acme"]
+        kinds = ["simulated", "synth", "royale", "bta", "genicam", "orbbec", "realsense", "oak", "v4l2", "acme"]
+        assert marked(user, "source").options == kinds
 
     with pytest.warns(UserWarning, match="of broken cannot be loaded: RuntimeError: no licence"):
         used(Workspace(), steps)

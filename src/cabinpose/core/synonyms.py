@@ -155,6 +155,9 @@ NAMES = by_word(
         "mt": "mti imu",
         "simulated": "simulation webcam fake dummy",
         "orbbec": "femto astra",
+        "realsense": "intel_realsense librealsense pyrealsense2 d435 d435i d455 d405 l515",
+        "oak": "oak_d oakd depthai luxonis",
+        "v4l2": "v4l uvc video4linux linuxpy v4l2py",
     }
 )
 

@@ -10,16 +10,24 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cabinpose.core import Camera, ConfigError, RationalLens, RecordingError, fit_lens, optional_module
-from cabinpose.record.sources.counting import DeviceClock, FrameNumbers
-from cabinpose.record.sources.tof.camera import CameraSettings, CameraSource, MalformedFrameError, frame_of, shaped
+from cabinpose.core import ConfigError, RationalLens, RecordingError, optional_module
+from cabinpose.record.sources.tof.camera import CameraSettings, MalformedFrameError, shaped
+from cabinpose.record.sources.tof.polled import (
+    PolledFrame,
+    PolledSource,
+    Shape,
+    chosen_serial,
+    chosen_shape,
+    shape_text,
+    stated_camera,
+)
 from cabinpose.signals import HostClock, ToFFrame
 from cabinpose.store.convert import DEPTH_MODES
 
@@ -28,8 +36,6 @@ _REFUSED = "is another program using it? On Linux, are the udev rules of pyorbbe
 _DEPTH: Mapping[str, str] = {"Y16": "<u2", "Z16": "<u2"}  # pixel formats of the SDK, and what their bytes are
 _INFRARED: Mapping[str, str] = {"Y16": "<u2", "Y8": "u1"}
 _FIELDS = {(mode.width, mode.height): mode.field for mode in DEPTH_MODES.values()}
-_TURN = 2**32  # of the device's microseconds, which the SDK makes continuous for some of its cameras
-_QUIET_S = 1.0  # without a frame, until the SDK is asked whether the camera is still connected; the slowest mode has 5 Hz
 
 
 class OrbbecSettings(CameraSettings):
@@ -54,18 +60,7 @@ class _Image(NamedTuple):
     data: NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True)
-class _FrameSet:
-    """A frame set, copied."""
-
-    counter: int
-    stamp_us: int
-    scale_mm: float
-    depth: _Image
-    infrared: _Image | None
-
-
-class OrbbecSource(CameraSource[OrbbecSettings]):
+class OrbbecSource(PolledSource[OrbbecSettings]):
     """A `FrameSource` of a camera of Orbbec."""
 
     Settings: ClassVar = OrbbecSettings
@@ -77,14 +72,8 @@ class OrbbecSource(CameraSource[OrbbecSettings]):
         self._ob: Any = None  # the SDK's module
         self._context: Any = None  # kept while the camera is away: a new one looks for cameras in the network, for 2 s
         self._pipeline: Any = None
-        self._errors: tuple[type[Exception], ...] = (RuntimeError,)
         self._serial = settings.serial
         self._uid = ""
-        self._stated: Camera | None = None
-        self._numbers = FrameNumbers(self.counts)
-        self._device_clock = DeviceClock(1000, _TURN)
-        self._heard_s = 0.0
-        self._failed = False
 
     def _missing(self) -> Sequence[str]:
         self._prepared()
@@ -96,7 +85,8 @@ class OrbbecSource(CameraSource[OrbbecSettings]):
             pipeline.start(config)
         except self._errors as error:
             raise RecordingError(f"camera {self._serial}: {error}", hint=_REFUSED) from error
-        self._pipeline, self._failed, self._heard_s = pipeline, False, self._clock.now_s()
+        self._pipeline = pipeline
+        self._begin()
         self._state("camera", **facts)
 
     def _prepared(self) -> tuple[Any, Any, dict[str, Any]]:
@@ -128,14 +118,7 @@ class OrbbecSource(CameraSource[OrbbecSettings]):
     def _device(self, devices: Any) -> Any:
         """The camera that is meant; one that was lost is not replaced by another."""
         serials = [str(devices.get_device_serial_number_by_index(i)) for i in range(devices.get_count())]
-        if not serials:
-            raise RecordingError("no Orbbec camera is connected", hint=_CONNECT)
-        connected = ", ".join(serials)
-        if self._serial is None and len(serials) > 1:
-            raise RecordingError(f"{len(serials)} Orbbec cameras are connected", hint=f"name one with `serial`: {connected}")
-        self._serial = self._serial or serials[0]
-        if self._serial not in serials:
-            raise RecordingError(f"no Orbbec camera {self._serial} is connected", hint=f"connected: {connected}")
+        self._serial = chosen_serial("Orbbec", serials, self._serial, _CONNECT)
         index = serials.index(self._serial)
         self._uid = str(devices.get_device_uid_by_index(index))
         return devices.get_device_by_index(index)
@@ -145,15 +128,10 @@ class OrbbecSource(CameraSource[OrbbecSettings]):
         settings = self.settings
         mode = None if settings.mode is None else DEPTH_MODES[settings.mode]
         size = (settings.width, settings.height) if mode is None else (mode.width, mode.height)
-        wanted = (*size, settings.fps)
-        fitting = [p for p in offered if all(value in (None, has) for value, has in zip(wanted, _shape(p), strict=True))]
-        if not fitting:
-            asked = "{}x{}@{}".format(*("any" if value is None else value for value in wanted))
-            named = "" if settings.mode is None else f" ({settings.mode})"
-            known = ", ".join(sorted({_text(profile) for profile in offered})) or "none of 16 bits"
-            raise RecordingError(f"camera {self._serial} has no depth of {asked}{named}", hint=f"it offers: {known}")
+        named = "" if settings.mode is None else f" ({settings.mode})"
         own = _shape(pipeline.get_stream_profile_list(ob.OBSensorType.DEPTH_SENSOR).get_default_video_stream_profile())
-        return max(fitting, key=lambda p: (_shape(p)[:2] == own[:2], _shape(p)[2] == own[2], _shape(p)[2]))
+        shape = chosen_shape(str(self._serial), [_shape(p) for p in offered], (*size, settings.fps), own, named=named)
+        return next(profile for profile in offered if _shape(profile) == shape)
 
     def _infrared_profile(self, pipeline: Any, ob: Any, depth: Any) -> Any:
         try:
@@ -173,89 +151,53 @@ class OrbbecSource(CameraSource[OrbbecSettings]):
         k, d = profile.get_intrinsic(), profile.get_distortion()
         stated = {name: float(getattr(k, name)) for name in ("fx", "fy", "cx", "cy")}
         stated |= {name: float(getattr(d, name)) for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")}
-        fx, fy, cx, cy, k1, k2, k3, k4, k5, k6, p1, p2 = stated.values()
         facts: dict[str, Any] = {"lens": stated}
         if self.settings.lens is not None:
             return facts
         field = _FIELDS.get((width, height))
+        fx, fy, cx, cy, k1, k2, k3, k4, k5, k6, p1, p2 = stated.values()
         try:
-            if not np.isfinite(list(stated.values())).all() or min(fx, fy) <= 0 or (k.width, k.height) != (width, height):
-                raise ValueError(f"they are of {k.width}x{k.height} px, with focal lengths {fx} and {fy}")
-            if (k4, k5, k6) == (0.0, 0.0, 0.0):
-                self._stated = Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-                return facts
-            fit = fit_lens(RationalLens(fx, fy, cx, cy, (k1, k2, k3, k4, k5, k6), p1, p2), width, height, field or np.inf)
+            if (k.width, k.height) != (width, height):
+                raise ValueError(f"they are of {k.width}x{k.height} px")
+            lens = RationalLens(fx, fy, cx, cy, (k1, k2, k3, k4, k5, k6), p1, p2)
+            self._stated, left = stated_camera(lens, width, height, field or np.inf)
         except ValueError as error:
             raise RecordingError(
                 f"camera {self._serial} has no intrinsics for {_text(profile)}: {error}", hint="state them with `lens`"
             ) from error
-        self._stated = fit.camera
-        return facts | {"fit_rms_px": fit.rms_px, "fit_max_px": fit.max_px, "fit_field": field}
+        return facts | left | ({"fit_field": field} if left else {})
 
     def _disconnect(self) -> None:
-        pipeline, self._pipeline = self._pipeline, None
+        pipeline, self._pipeline, self._runs = self._pipeline, None, False
         if pipeline is not None:
             try:
                 pipeline.stop()
             except self._errors:  # a camera that was unplugged
                 return
 
-    def _alive(self) -> bool:
-        """Whether the camera sends, or else is connected; one that was unplugged and came back has another uid."""
-        if self._pipeline is None or self._failed:
-            return False
-        if self._clock.now_s() - self._heard_s < _QUIET_S:
-            return True
-        try:
-            devices = self._context.query_devices()
-            return self._uid in [str(devices.get_device_uid_by_index(i)) for i in range(devices.get_count())]
-        except self._errors:
-            return False
+    def _connected(self) -> bool:
+        """One that was unplugged and came back has another uid."""
+        devices = self._context.query_devices()
+        return self._uid in [str(devices.get_device_uid_by_index(i)) for i in range(devices.get_count())]
 
-    def _wait(self, timeout_s: float) -> None:
-        """The SDK is asked for frame sets: the first within the time, then what has come meanwhile."""
-        wait_s = timeout_s
-        malformed: tuple[type[Exception], ...] = (*self._errors, ValueError, TypeError)  # MalformedFrameError among them
-        for _ in range(self.settings.queue_frames):
-            if self._pipeline is None or self._failed:
-                self._clock.sleep(wait_s)
-                return
-            try:
-                frames = self._pipeline.wait_for_frames(max(round(wait_s * 1000), 1))
-            except self._errors:
-                self._failed = True
-                return
-            if frames is None:
-                return
-            self._heard_s, wait_s = self._clock.now_s(), 0.0
-            try:
-                payload = _copied(frames)
-            except malformed:
-                self.counts.malformed += 1
-            else:
-                self._deliver(payload)
+    def _fetch(self, timeout_s: float) -> Any | None:
+        return self._pipeline.wait_for_frames(max(round(timeout_s * 1000), 1))
 
-    def _number(self, payload: _FrameSet, host_ns: int) -> tuple[int, int | None]:
-        restarts = self.counts.restarts
-        sequence = self._numbers.number(payload.counter)
-        if self.counts.restarts > restarts:
-            self._device_clock.restart()
-        if payload.stamp_us == 0:  # what the SDK gives where the system passes no metadata on
-            return sequence, None
-        return sequence, self._device_clock.device_ns(payload.stamp_us, host_ns)
+    def _copied(self, frames: Any) -> PolledFrame:
+        depth, infrared = frames.get_depth_frame(), frames.get_ir_frame()
+        if depth is None:
+            raise MalformedFrameError("no depth")
+        return PolledFrame(
+            int(depth.get_index()),
+            int(depth.get_timestamp_us()) or None,  # 0 where the system passes no metadata on
+            float(depth.get_depth_scale()) / 1000,
+            _image(depth),
+            None if infrared is None else _image(infrared),
+        )
 
-    def _reached_again(self) -> None:
-        self._numbers.reached_again()
-        self._device_clock.restart()
-
-    def _decode(self, payload: _FrameSet) -> ToFFrame:
-        depth, infrared = payload.depth, payload.infrared
-        unit_m = payload.scale_mm / 1000
-        if not 0 < unit_m <= 0.01:
-            raise MalformedFrameError(f"depth in steps of {payload.scale_mm} mm")
-        camera = self._lens(depth.width, depth.height, lambda: None, self._stated)
-        amplitude = None if infrared is None else _pixels(infrared, _INFRARED)
-        return frame_of(camera, _pixels(depth, _DEPTH).astype(np.uint16), unit_m, amplitude=amplitude)
+    def _decode(self, payload: PolledFrame) -> ToFFrame:
+        infrared = None if payload.infrared is None else _pixels(payload.infrared, _INFRARED)
+        return super()._decode(replace(payload, depth=_pixels(payload.depth, _DEPTH).astype(np.uint16), infrared=infrared))
 
 
 def _sdk() -> Any:
@@ -279,13 +221,12 @@ def _profiles(pipeline: Any, sensor: Any, formats: Mapping[str, str]) -> list[An
     return [profile for profile in profiles if profile.get_format().name in formats]
 
 
-def _shape(profile: Any) -> tuple[int, int, int]:
-    """Width, height, frames per second."""
+def _shape(profile: Any) -> Shape:
     return profile.get_width(), profile.get_height(), profile.get_fps()
 
 
 def _text(profile: Any) -> str:
-    return "{}x{}@{}".format(*_shape(profile))
+    return shape_text(_shape(profile))
 
 
 def _temperatures(device: Any, errors: tuple[type[Exception], ...]) -> dict[str, float]:
@@ -296,20 +237,6 @@ def _temperatures(device: Any, errors: tuple[type[Exception], ...]) -> dict[str,
         return {}
     values = {name: float(getattr(found, name)) for name in dir(found) if name.endswith("_temperature")}
     return {name.removesuffix("_temperature"): value for name, value in values.items() if value and np.isfinite(value)}
-
-
-def _copied(frames: Any) -> _FrameSet:
-    """A frame set, copied. Raises MalformedFrameError where it has no depth."""
-    depth, infrared = frames.get_depth_frame(), frames.get_ir_frame()
-    if depth is None:
-        raise MalformedFrameError("no depth")
-    return _FrameSet(
-        int(depth.get_index()),
-        int(depth.get_timestamp_us()),
-        float(depth.get_depth_scale()),
-        _image(depth),
-        None if infrared is None else _image(infrared),
-    )
 
 
 def _image(frame: Any) -> _Image:
