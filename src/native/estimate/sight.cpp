@@ -19,7 +19,8 @@ struct SightLimits {
 /// Counts over the pixels that are looked at: valid, touching, near, nearer; pairs of neighbours in a row, both valid, and steps
 /// between them; lit: valid with an amplitude · over all pixels: valid_all, joined (valid with a valid one to the left), odd
 /// (amplitudes below the darkest or not finite) · blocks of `every` pixels a side with a depth, pairs of them that follow each
-/// other in a row with edges between their mean depths, and those off the surface 1/z = a + b u + c v + d u² + e u v + f v² nearest to all.
+/// other in a row with edges between their mean depths, and those off the surface 1/z = a + b u + c v + d u² + e u v + f v²
+/// nearest to all.
 struct Sight {
   int valid = 0, touching = 0, near = 0, nearer = 0, pairs = 0, steps = 0, lit = 0, valid_all = 0, joined = 0, odd = 0,
       blocks = 0, block_pairs = 0, edges = 0, off = 0;

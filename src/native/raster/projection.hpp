@@ -15,8 +15,8 @@ inline constexpr int max_corners = 8;   // of a triangle cut by five planes
 /// The projection of a camera.
 ///
 /// fx, fy, cx, cy: pixels · dist: k1, k2, p1, p2, k3 as OpenCV's · box: x min, y min, x max, y max of the image's ideal rays, a
-/// little widened · curvature: pixels, a bound on the second derivative of the projection in the box; 0 for a pinhole · radius: of
-/// the last ideal point that the lens sees, beyond which its polynomial folds; infinite where it does not.
+/// little widened · curvature: pixels, a bound on the second derivative of the projection in the box; 0 for a pinhole · radius:
+/// of the last ideal point that the lens sees, beyond which its polynomial folds; infinite where it does not.
 struct Lens {
   double fx, fy, cx, cy;
   Array<const double, 5> dist;
