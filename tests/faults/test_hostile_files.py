@@ -32,6 +32,7 @@ GOES_ON = {"azure-mkv", "mcap", "source replay", "source azure_mkv"}  # after da
 DEVICES = {  # sources with a path that is no file of somebody's: what stands there
     "simulated": "a dataset", "synth": "a configuration", "bta": "a file of the vendor's library",
     "genicam": "the vendor's library", "stepper": "a serial line", "mt": "a serial line",
+    "v4l2": "a device of the kernel",
 }  # fmt: skip
 
 
