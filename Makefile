@@ -38,10 +38,10 @@ test: $(VENV)/.dev  ## the tests but for the slow ones; CABINPOSE_REAL_DATA name
 	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m "not slow"
 
 test-slow: $(VENV)/.dev  ## the slow tests alone
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m slow
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m slow
 
 test-faults: $(VENV)/.dev  ## kills, full disks and hostile files alone, which are part of the slow tests
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m faults
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m faults
 
 test-all: test test-slow  ## all tests
 

@@ -90,6 +90,7 @@ def test_a_source_that_is_away_at_the_end(tmp_path: Path, run: Run) -> None:
     assert "; suit does not answer; no data for " in done.out or "; suit went away; no data for " in done.out
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_the_check_listens(tmp_path: Path, run: Run) -> None:
     done = run("record", "--config", rig_of(tmp_path, tof=MUTE, suit=LIVELY), "--check", "--json")

@@ -146,7 +146,7 @@ def test_nothing_turns_before_the_take_begins(tmp_path: Path, run: Callable[...,
     ("settings", "said"),
     [
         ({"fault": "hang", "fault_at": 0}, "no answer within 2 s to a question for its state"),
-        ({"fault": "garbage", "fault_at": 0}, "what comes is no text within 2 s"),
+        pytest.param({"fault": "garbage", "fault_at": 0}, "what comes is no text within 2 s", marks=pytest.mark.slow),
     ],
 )
 def test_a_controller_that_nobody_understands_is_not_begun_with(settings: dict[str, Any], said: str) -> None:

@@ -87,6 +87,12 @@ def test_a_reload_goes_on_where_it_was(page: Any, start: Callable[..., Any], dat
     page.keyboard.press("Enter")
     page.get_by_text("1 of 6 frames done").wait_for()
     assert labelled(dataset_folder) == {(3, "driver")}
+    page.reload()
+    page.locator(".frame-canvas[data-seen]:visible").wait_for()
+    page.wait_for_function(HAS_IT)
+    page.keyboard.press("z")  # what this window did before
+    page.get_by_text("0 of 6 frames done").wait_for()
+    assert labelled(dataset_folder) == set()
 
 
 @pytest.mark.slow

@@ -618,6 +618,7 @@ def until(what: Callable[[], Any], seconds: float = 60.0) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_generation_is_cancelled_and_resumed(tmp_path: Path, run: Callable[..., Any]) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("scene: {cars: [suv]}\noutput: {frames_per_part: 2}\n")

@@ -78,11 +78,12 @@ def exact_excess(scene: Scene) -> float:
     return max(p.excess_m for p in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [
-        pytest.param({"motion": {"driver": {"drink": 1.0}}}, marks=pytest.mark.slow),
-        pytest.param({"motion": {"driver": {"phone_ear": 0.5, "phone_text": 0.5}}, "in_hand": 1.0}, marks=pytest.mark.slow),
+        {"motion": {"driver": {"drink": 1.0}}},
+        {"motion": {"driver": {"phone_ear": 0.5, "phone_text": 0.5}}, "in_hand": 1.0},
         {"occupancy": {"front_passenger": 1.0}, "objects": {"front_passenger": {"bag": 0.5, "laptop": 0.5}}},
     ],
 )

@@ -4,7 +4,7 @@ const MOST_ZOOM = 64;
 const HIT_PX = 12; // on the screen, from a joint to the pointer that takes it
 const TELL_MS = 400, AGAIN_MS = 500, ANSWER_MS = 20000, SHOWN_MS = 8000; // what waits so long is told; tried again; given up; words stay
 const REFOCUS_MS = 200; // a click within that of the window's own focus brought the window to the front
-const PAST_SELECT_MS = 80; // a list takes the keyboard back once it has closed
+const FOCUS_MS = [60, 200, 400]; // a list that closes takes the keyboard back, at some time
 const KEYS_OF = [ // which keys belong to what has the keyboard outside the image; the others are the image's
   ["input, textarea, select, [contenteditable], [role=combobox]", () => true],
   ["button, a, [role=button], [role=tab], [role=checkbox], [role=switch], .q-item", (key) => ["Enter", " ", "Tab"].includes(key) || key.startsWith("Arrow")],
@@ -29,7 +29,7 @@ export default {
   props: { keeps: String, url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array, inputs: String, most: Number },
   data: () => ({ unwritten: "", untaken: "", state: "loading", seen: "", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
   created() { // what is done here and not yet there, oldest first
-    Object.assign(this, { queue: [], number: 0, name: Math.random().toString(36).slice(2), sending: false, trouble: "", closed: false });
+    Object.assign(this, { keeping: [], queue: [], number: 0, name: Math.random().toString(36).slice(2), sending: false, trouble: "", closed: false });
     this.leaving = (event) => { if (this.queue.length) event.preventDefault(); };
   },
   mounted() {
@@ -41,7 +41,7 @@ export default {
     canvas.addEventListener("wheel", this.wheel, { passive: false });
     for (const [name, handler] of [["pointerdown", this.down], ["pointermove", this.move], ["pointerup", this.up], ["pointerleave", this.leave]])
       canvas.addEventListener(name, handler);
-    canvas.addEventListener("dblclick", () => { this.view = null; this.draw(); this.keep(); });
+    canvas.addEventListener("dblclick", () => { this.view = null; this.kept = []; this.draw(); this.keep(); });
     this.toFront = () => { this.frontSince = performance.now(); };
     window.addEventListener("focus", this.toFront);
     if (this.inputs) document.addEventListener("keydown", this.key);
@@ -55,7 +55,7 @@ export default {
     window.removeEventListener("beforeunload", this.leaving);
     window.removeEventListener("focus", this.toFront);
     document.removeEventListener("keydown", this.key);
-    clearTimeout(this.keeping);
+    this.keeping.forEach(clearTimeout);
   },
   watch: {
     url() { this.load(); },
@@ -85,7 +85,7 @@ export default {
         const values = answer.headers.get("x-bits") === "8" ? new Uint8Array(bytes) : new Uint16Array(bytes);
         const same = this.image && this.image.width === width && this.image.height === height;
         this.image = { width, height, step, kind, values, unit: answer.headers.get("x-unit") || "" };
-        if (!same) this.view = this.keptView();
+        if (!same) this.view = null;
         this.state = "";
         this.seen = url; // goes with all that is done: the server ignores what was meant for the image before
         this.loading = false;
@@ -132,9 +132,8 @@ export default {
       canvas.width = Math.max(box.width * ratio, 1); canvas.height = Math.max(box.height * ratio, 1);
       this.draw();
     },
-    keptView() { // the view that stands in the address, once
+    keptPlace() { // of the view that stands in the address, until the user zooms or moves
       const [zoom, u, v] = this.kept, { width, height } = this.$refs.canvas;
-      this.kept = [];
       if (!(zoom > 1 && zoom <= MOST_ZOOM && Number.isFinite(u) && Number.isFinite(v))) return null;
       const scale = zoom * Math.min(width / this.image.width, height / this.image.height);
       return { scale, x: width / 2 - (u + 0.5) * scale, y: height / 2 - (v + 0.5) * scale };
@@ -148,7 +147,8 @@ export default {
     },
     place() { // the view: screen = pixel * scale + offset; the whole image until the user zooms
       const canvas = this.$refs.canvas, image = this.image;
-      if (this.view) return this.view;
+      const view = this.view || this.keptPlace();
+      if (view) return view;
       const scale = Math.min(canvas.width / image.width, canvas.height / image.height);
       return { scale, x: (canvas.width - image.width * scale) / 2, y: (canvas.height - image.height * scale) / 2 };
     },
@@ -207,6 +207,7 @@ export default {
       if (!this.image) return;
       const { u, v, sx, sy } = this.pixel(event), scale = this.place().scale * Math.exp(-event.deltaY / 400);
       const whole = Math.min(this.$refs.canvas.width / this.image.width, this.$refs.canvas.height / this.image.height);
+      this.kept = [];
       this.view = scale <= whole ? null : { scale: Math.min(scale, MOST_ZOOM * whole), x: 0, y: 0 };
       if (this.view) { this.view.x = sx - (u + 0.5) * this.view.scale; this.view.y = sy - (v + 0.5) * this.view.scale; }
       this.draw();
@@ -232,6 +233,7 @@ export default {
       if (!drag.moved) return;
       if (drag.panning) {
         const ratio = window.devicePixelRatio || 1;
+        this.kept = [];
         this.view = { scale: drag.view.scale, x: drag.view.x + dx * ratio, y: drag.view.y + dy * ratio };
       } else if (drag.hit && this.editable) {
         Object.assign(this.shown[drag.hit[0]].joints[drag.hit[1]], { u, v });
@@ -258,7 +260,7 @@ export default {
       const at = event.target, inside = this.$refs.box.contains(at);
       if (!OURS.test(event.key) || !this.$refs.box.offsetParent || document.querySelector(".q-dialog, .q-menu")) return;
       if (!inside && KEYS_OF.find(([what]) => at.closest(what))?.[1](event.key)) return;
-      if (event.key === "Escape") { this.$refs.box.blur(); return; }
+      if (event.key === "Escape") { this.keeping.forEach(clearTimeout); this.$refs.box.blur(); return; }
       if (event.ctrlKey || event.metaKey || event.altKey) { if (!(event.ctrlKey && event.key === "z")) return; }
       event.preventDefault();
       this.ask("key", { url: this.seen, key: event.key, shift: event.shiftKey });
@@ -307,6 +309,12 @@ export default {
       clearTimeout(this.forgetting);
       this.forgetting = setTimeout(() => { this.untaken = ""; }, SHOWN_MS);
     },
-    focus() { this.keeping = setTimeout(() => { if (this.$refs.box?.offsetParent) this.$refs.box.focus({ preventScroll: true }); }, PAST_SELECT_MS); },
+    focus() { // once, and again where a list has taken the keyboard meanwhile
+      this.keeping.forEach(clearTimeout);
+      this.keeping = FOCUS_MS.map((wait, again) => setTimeout(() => {
+        const box = this.$refs.box, at = document.activeElement, free = again === 0 || at === document.body || at.closest(".q-select");
+        if (box?.offsetParent && free && !document.querySelector(".q-menu, .q-dialog")) box.focus({ preventScroll: true });
+      }, wait));
+    },
   },
 };

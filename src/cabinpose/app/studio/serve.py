@@ -66,8 +66,7 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     async def page(request: Request) -> None:
         """Build the page once somebody looks at it: whoever loads it without a WebSocket leaves nothing behind."""
         await ui.context.client.connected(timeout=CONNECT_S)
-        window = await ui.run_javascript("sessionStorage.studio ??= Math.random().toString(36).slice(2)", timeout=CONNECT_S)
-        studio_page(workspace, shared, dict(request.query_params), str(window)[:32])
+        studio_page(workspace, shared, dict(request.query_params), str(ui.context.client.tab_id)[:36])
 
     nicegui_app.add_exception_handler(404, _not_found)
     ui.run_with(
