@@ -128,8 +128,8 @@ def main() -> int:
         work.mkdir()
         tell("", "of", "lost")
         for name, command in COMMANDS.items():
-            share = {"synth": 1 / 2, "train": 1 / 4}.get(name, 1.0)  # a part, an epoch; 1 s for a second start
-            row(name, lambda c=command: lost_work(c, inputs, work), "s", lambda whole, s=share: 1.2 * s * whole + 1)  # type: ignore[misc]
+            share = {"synth": 1 / 2, "train": 1 / 4}.get(name, 1.0)  # a part, an epoch; then a second start, and a busy machine
+            row(name, lambda c=command: lost_work(c, inputs, work), "s", lambda whole, s=share: 1.5 * s * whole + 1.5)  # type: ignore[misc]
         row("record", lambda: lost_samples(work), "s", lambda _: 5.25)  # queue_s and flush_s of a rig that does not set them
         row("labels", lambda: lost_labels(work), "changes", lambda _: 0)
     return int(failed)
