@@ -137,7 +137,7 @@ def test_where_on_the_command_line(dataset_folder: Path, capsys: pytest.CaptureF
 
 def test_columns_of_a_dataset(dataset_folder: Path) -> None:
     dataset = open_dataset(dataset_folder)
-    columns = query_columns(dataset, {"error_cm": np.arange(5.0)})
+    columns = query_columns(dataset) | {"error_cm": np.arange(5.0)}
     assert (columns["view"] == dataset["pov"].values).all()
     assert columns["people"].tolist() == [(frame != "").sum() for frame in columns["person"]]
     assert frames_where(columns, "error_cm > 2 and frame < 4").tolist() == [False, False, False, True, False]

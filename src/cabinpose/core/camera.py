@@ -92,12 +92,25 @@ class Camera:
     def is_distorted(self) -> bool:
         return any(self.dist)
 
+    @property
+    def fields_deg(self) -> tuple[float, float]:
+        """The field of view without distortion, degrees, horizontal and vertical."""
+        x, y = (2 * math.degrees(rp.arctan(n / (2 * f))) for n, f in ((self.width, self.fx), (self.height, self.fy)))
+        return x, y
+
     def scaled(self, factor: int) -> Camera:
         """The same view with `factor` times as many pixels a side, each pixel cut into factor x factor equal ones.
 
         The same object for the same camera, so that its rays are worked out once.
         """
         return _scaled(self, factor)
+
+    def binned(self, factor: int) -> Camera:
+        """The same view with pixels `factor` times as wide and high, of which there are whole ones only, and one at least."""
+        shift = (factor - 1) / 2  # an integer is a pixel's centre
+        size = max(self.width // factor, 1), max(self.height // factor, 1)
+        centre = (self.cx - shift) / factor, (self.cy - shift) / factor
+        return Camera(*size, self.fx / factor, self.fy / factor, *centre, self.dist)
 
     def turned(self, quarters: int) -> Camera:
         """The camera of its images turned counter-clockwise by so many quarters, as `numpy.rot90` turns them."""

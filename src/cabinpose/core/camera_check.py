@@ -136,7 +136,7 @@ def depth_doubt(camera: Camera, depth_m: NDArray[np.floating]) -> str:
 @lru_cache(maxsize=1024)
 def camera_doubts(camera: Camera) -> tuple[str, ...]:
     """What speaks against a camera that can be, in words: what was seen, why it hardly can be, the likely cause."""
-    fx, fy, fov = camera.fx, camera.fy, _fields(camera)
+    fx, fy, fov = camera.fx, camera.fy, camera.fields_deg
     told = [_off_centre(camera)]
     apart = max(fx, fy) / min(fx, fy)
     if apart > ANISOTROPY:
@@ -250,7 +250,7 @@ def _matrix_fault(k: NDArray[np.float64], size: tuple[int, int]) -> _Fault | Non
 def _fault(camera: Camera) -> _Fault | None:
     """Why no camera is like this, and the remedy."""
     size, size_text = (camera.width, camera.height), f"{camera.width}x{camera.height} image"
-    fov = _fields(camera)
+    fov = camera.fields_deg
     if max(fov) < NARROWEST_DEG or max(fov) > WIDEST_DEG:
         return _Fault(
             f"fx {camera.fx:g} px, fy {camera.fy:g} px are a field of view of {fov[0]:.3g} x {fov[1]:.3g} degrees"
@@ -284,12 +284,6 @@ def _fault(camera: Camera) -> _Fault | None:
             "give dist as OpenCV's k1 k2 p1 p2 k3, of coordinates in focal lengths, not pixels",
         )
     return None
-
-
-def _fields(camera: Camera) -> tuple[float, float]:
-    """The field of view without distortion, degrees, horizontal and vertical."""
-    x, y = (2 * math.degrees(rp.arctan(n / (2 * f))) for n, f in ((camera.width, camera.fx), (camera.height, camera.fy)))
-    return x, y
 
 
 def _unit(camera: Camera) -> str:
@@ -356,7 +350,7 @@ def _off_centre(camera: Camera) -> str:
         if of.min() > 0 and abs(of[0] / of[1] - 1) < _ALIKE:
             found = float(of.mean())
             factor = next((whole for whole in _BINNINGS if abs(found / whole - 1) < _ALIKE), found)
-            fov, true = _fields(camera)[0], 2 * math.degrees(rp.arctan(camera.width * factor / (2 * camera.fx)))
+            fov, true = camera.fields_deg[0], 2 * math.degrees(rp.arctan(camera.width * factor / (2 * camera.fx)))
             width, height = factor * size
             return (
                 f"{seen}: this is the matrix of an image of about {width:.0f}x{height:.0f} pixels, whose field of view is"

@@ -81,13 +81,13 @@ def _without_log(plan: SourcePlan) -> SourcePlan:
 
 def _listen(source: FrameSource, clock: HostClock) -> list[str]:
     """What there is to say of a source that is there and sends nothing, or of the camera that its first frame states."""
-    until = clock.now_s() + _LISTEN_S
+    until, check = clock.now_s() + _LISTEN_S, LiveCheck()
     try:
         source.open()
         while clock.now_s() < until:
             samples = source.read(_READ_S)
             if any(map(is_data, samples)):
-                return [words for sample in samples for words in LiveCheck().look(sample)]
+                return [words for sample in samples for words in check.look(sample)]
     except SourceEndedError:
         return []
     finally:

@@ -72,7 +72,6 @@ class LiveCheck:
 
 def _is_whole(message: SegmentPoses | Markers) -> bool:
     """Whether the arrays fit the names: of others the writer says so."""
-    shapes = {np.shape(message.position_m): 3} | (
-        {np.shape(message.orientation_wxyz): 4} if isinstance(message, SegmentPoses) else {}
-    )
-    return bool(message.names) and all(shape == (len(message.names), width) for shape, width in shapes.items())
+    count = len(message.names)
+    turned = not isinstance(message, SegmentPoses) or np.shape(message.orientation_wxyz) == (count, 4)
+    return count > 0 and np.shape(message.position_m) == (count, 3) and turned

@@ -33,10 +33,10 @@ _MOST = 2000  # characters: what is longer nests deeper than a condition that an
 _MOST_NAMED = 12  # values in a hint
 
 
-def query_columns(dataset: xr.Dataset, more: Mapping[str, NDArray[Any]] | None = None) -> dict[str, NDArray[Any]]:
+def query_columns(dataset: xr.Dataset) -> dict[str, NDArray[Any]]:
     """What a condition can ask, by name: (F,) of frames, (F, P) of people, "" or NaN where there is nobody.
 
-    Beside the dataset's coordinates: `view` (pov), `person` (the slot) and `people` (how many). more: further ones of the caller.
+    Beside the dataset's coordinates: `view` (pov), `person` (the slot) and `people` (how many). Reads `visibility` of all frames.
     """
     frames, people = dataset.sizes["frame"], dataset.sizes["person"]
     shapes = (("frame",), ("frame", "person"))
@@ -46,7 +46,7 @@ def query_columns(dataset: xr.Dataset, more: Mapping[str, NDArray[Any]] | None =
         columns["view"] = columns["pov"]
     columns["person"] = np.where(there, np.broadcast_to(dataset["person"].values.astype(str), (frames, people)), "")
     columns["people"] = there.sum(axis=1)
-    return columns | dict(more or {})
+    return columns
 
 
 def frames_where(columns: Mapping[str, NDArray[Any]], condition: str) -> NDArray[np.bool_]:

@@ -113,17 +113,6 @@ def judge_place(
 
 def reduced(sensor: Sensor) -> Sensor:
     """The same sensor with fewer and larger pixels, in about 72 rows."""
-    camera = sensor.camera
-    factor = max(1, round(camera.height / _ROWS))
-    shift = (factor - 1) / 2  # an integer is a pixel's centre
-    small = dataclasses.replace(
-        camera,
-        width=max(camera.width // factor, 1),
-        height=max(camera.height // factor, 1),
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=(camera.cx - shift) / factor,
-        cy=(camera.cy - shift) / factor,
-    )
+    factor = max(1, round(sensor.camera.height / _ROWS))
     radius = sensor.field_radius_px and sensor.field_radius_px / factor
-    return sensor.model_copy(update={"camera": small, "field_radius_px": radius})
+    return sensor.model_copy(update={"camera": sensor.camera.binned(factor), "field_radius_px": radius})

@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from math import atan, degrees, isnan
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -194,7 +194,7 @@ def _sensor_words(sensor: str | Sensor) -> str:
     if isinstance(sensor, str):
         return sensor
     lens = sensor.camera
-    across, down = (2 * degrees(atan(size / 2 / focal)) for size, focal in ((lens.width, lens.fx), (lens.height, lens.fy)))
+    across, down = lens.fields_deg
     dist = f" dist {' '.join(f'{x:g}' for x in lens.dist)}" if lens.is_distorted else ""
     numbers = f"fx {lens.fx:.5g} fy {lens.fy:.5g} cx {lens.cx:.5g} cy {lens.cy:.5g}{dist}"
     return f"{sensor.name} ({lens.width}x{lens.height} px, {across:.3g}° x {down:.3g}°, {numbers})"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -142,10 +143,15 @@ class DatasetTab:
             self._over.props(f'label="over, {self._errors.unit}"')
         self._filter()
 
+    @cached_property
+    def _stored(self) -> dict[str, NDArray[Any]]:
+        """What a condition can ask of the dataset, read once: every key that is typed asks again."""
+        return query_columns(self._dataset)
+
     def _columns(self) -> dict[str, NDArray[Any]]:
         """What a condition can ask: with the error of the predictions that are chosen."""
         errors = self._errors
-        return query_columns(self._dataset, {} if errors is None else {f"error_{errors.unit}": errors.d})
+        return self._stored if errors is None else {**self._stored, f"error_{errors.unit}": errors.d}
 
     def _typed(self) -> None:
         self._query.set_autocomplete(completions(self._columns(), self._query.value or ""))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import timedelta
 from typing import Any, ClassVar
 
@@ -51,7 +52,6 @@ class OakSource(PolledSource[OakSettings]):
             raise ConfigError(f"{name}: the depth has a width and a height", hint="give both, or leave both out")
         self._dai: Any = None  # the SDK's module
         self._device: Any = None
-        self._pipeline: Any = None
         self._queue: Any = None
         self._serial = settings.serial
 
@@ -128,15 +128,11 @@ class OakSource(PolledSource[OakSettings]):
                 raise RecordingError(f"camera {self._serial} has no {key.replace('_', ' ')}", hint=f"leave out {key}")
 
     def _disconnect(self) -> None:
-        pipeline, device = self._pipeline, self._device
-        self._pipeline = self._device = self._queue = None
-        self._runs = False
-        for end in (None if pipeline is None else pipeline.stop, None if device is None else device.close):
-            try:
-                if end is not None:
-                    end()
-            except self._errors:  # a camera that was unplugged
-                continue
+        super()._disconnect()
+        device, self._device, self._queue = self._device, None, None
+        if device is not None:
+            with suppress(*self._errors):  # as above
+                device.close()
 
     def _connected(self) -> bool:
         return bool(self._pipeline.isRunning()) and not self._device.isClosed()

@@ -71,7 +71,6 @@ class OrbbecSource(PolledSource[OrbbecSettings]):
             raise ConfigError(f"{name}: the mode {settings.mode} says the size", hint="leave out width and height, or the mode")
         self._ob: Any = None  # the SDK's module
         self._context: Any = None  # kept while the camera is away: a new one looks for cameras in the network, for 2 s
-        self._pipeline: Any = None
         self._serial = settings.serial
         self._uid = ""
 
@@ -166,14 +165,6 @@ class OrbbecSource(PolledSource[OrbbecSettings]):
                 f"camera {self._serial} has no intrinsics for {_text(profile)}: {error}", hint="state them with `lens`"
             ) from error
         return facts | left | ({"fit_field": field} if left else {})
-
-    def _disconnect(self) -> None:
-        pipeline, self._pipeline, self._runs = self._pipeline, None, False
-        if pipeline is not None:
-            try:
-                pipeline.stop()
-            except self._errors:  # a camera that was unplugged
-                return
 
     def _connected(self) -> bool:
         """One that was unplugged and came back has another uid."""

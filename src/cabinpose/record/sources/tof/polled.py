@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -42,6 +43,7 @@ class PolledSource(CameraSource[CameraT]):
     def __init__(self, name: str, settings: CameraT, clock: HostClock | None = None) -> None:
         super().__init__(name, settings, clock)
         self._errors: tuple[type[Exception], ...] = (RuntimeError,)  # of the SDK
+        self._pipeline: Any = None  # of the SDK, while it runs
         self._stated: Camera | None = None
         self._numbers = FrameNumbers(self.counts)
         self._device_clock = DeviceClock(1000, self._turn)
@@ -63,6 +65,12 @@ class PolledSource(CameraSource[CameraT]):
     def _begin(self) -> None:
         """Frames come from now on."""
         self._runs, self._heard_s = True, self._clock.now_s()
+
+    def _disconnect(self) -> None:
+        pipeline, self._pipeline, self._runs = self._pipeline, None, False
+        if pipeline is not None:
+            with suppress(*self._errors):  # a camera that was unplugged
+                pipeline.stop()
 
     def _alive(self) -> bool:
         """Whether the camera sends, or else is connected."""

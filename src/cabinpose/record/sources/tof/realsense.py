@@ -46,7 +46,6 @@ class RealsenseSource(PolledSource[RealsenseSettings]):
         self._rs: Any = None  # the SDK's module
         self._context: Any = None
         self._device: Any = None
-        self._pipeline: Any = None
         self._infrared: int | None = None  # its number
         self._serial = settings.serial
 
@@ -150,14 +149,6 @@ class RealsenseSource(PolledSource[RealsenseSettings]):
             raise RuntimeError(f"no camera fits the lens of {lens.model.name}")
         self._stated = fit.camera
         return facts | {"fit_rms_px": fit.rms_px, "fit_max_px": fit.max_px}
-
-    def _disconnect(self) -> None:
-        pipeline, self._pipeline, self._runs = self._pipeline, None, False
-        if pipeline is not None:
-            try:
-                pipeline.stop()
-            except self._errors:  # a camera that was unplugged
-                return
 
     def _connected(self) -> bool:
         return bool(self._device.is_connected())
