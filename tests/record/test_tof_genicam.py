@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from camera_samples import frames
 from pydantic import ValidationError
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.tof.genicam import GenicamSettings, GenicamSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.recorded import Facts, Sample, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 15.0, 12.5)
 
@@ -169,10 +170,6 @@ def rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SimpleNamespace:
 
 def make(rig: SimpleNamespace, **settings: Any) -> GenicamSource:
     return GenicamSource("tof", GenicamSettings(producer=rig.producer, **settings), HostClock())
-
-
-def frames(samples: Any) -> list[ToFFrame]:
-    return [m for s in samples for m in s.messages if isinstance(m, ToFFrame)]
 
 
 def numbered(samples: Any) -> list[Sample]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import time
 from collections import deque
@@ -16,11 +15,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from camera_samples import check_quiet_without_a_camera, check_reached_again, drained, frames
 
 from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
 from cabinpose.record.sources.tof.oak import OakSettings, OakSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.recorded import Facts, Sample, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample
 
 SHAPE = (48, 64)
 DEPTH = (np.arange(48 * 64, dtype=np.uint16) + 400).reshape(SHAPE)
@@ -264,21 +264,10 @@ def make(**settings: Any) -> OakSource:
     return OakSource("tof", OakSettings(**settings), HostClock())
 
 
-def frames(samples: list[Sample]) -> list[ToFFrame]:
-    return [m for s in samples for m in s.messages if isinstance(m, ToFFrame)]
-
-
 def facts(samples: list[Sample], about: str) -> dict[str, Any]:
     (found,) = [m for s in samples for m in s.messages if isinstance(m, Facts) and m.about == about]
     assert json.loads(json.dumps(found.values, allow_nan=False)) == found.values
     return dict(found.values)
-
-
-def drained(source: OakSource, device: Device) -> list[Sample]:
-    samples: list[Sample] = []
-    while device.sent:
-        samples += source.read(0.001)
-    return samples
 
 
 def test_a_frame_of_a_stereo_camera(sdk: FakeSdk) -> None:
@@ -379,22 +368,7 @@ def test_a_camera_that_is_pulled_out_is_reached_again(sdk: FakeSdk, monkeypatch:
         old.sent.append(
             RuntimeError("Couldn't read data from stream") if how == "error" else QueueException("MessageQueue was closed")
         )
-    sdk.devices.append(Device("9999"))  # another one takes its place, and is not meant
-    for _ in range(6):
-        assert frames(list(source.read(0.01))) == []
-    assert source.counts.restarts == 0
-    again = Device("14442C10")
-    sdk.devices.append(again)
-    for _ in range(100):
-        source.read(0.005)
-        if again.running:
-            break
-    assert again.running
-    again.sent.append(images(0))
-    (sample,) = [s for s in drained(source, again) if s.sequence is not None]
-    assert (sample.sequence, source.counts.restarts, source.counts.lost) == (1, 1, 0)
-    assert not sdk.devices[0].running
-    source.close()
+    check_reached_again(source, sdk.devices, Device, "14442C10", images(0))
 
 
 def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, sdk: FakeSdk) -> None:
@@ -484,11 +458,4 @@ def test_messages_of_the_sdk(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_sdk_without_a_camera_says_so_and_keeps_quiet(tmp_path: Path) -> None:
     """It logs on stdout."""
     pytest.importorskip("depthai")
-    script = (
-        "from cabinpose.signals.clock import HostClock\n"
-        "from cabinpose.record.sources.tof.oak import OakSettings, OakSource\n"
-        "print(*OakSource('tof', OakSettings(serial='none of these'), HostClock()).check())"
-    )
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("no OAK camera ")
-    assert done.stdout.count("\n") == 1
+    check_quiet_without_a_camera("oak", "Oak", "OAK", tmp_path)

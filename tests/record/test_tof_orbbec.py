@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 import sys
 import time
 from collections import deque
@@ -15,13 +14,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from camera_samples import check_quiet_without_a_camera, drained, frames
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
 from cabinpose.record.config import parse_rig
 from cabinpose.record.sources.tof.orbbec import OrbbecSettings, OrbbecSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.recorded import Facts, Sample, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample
 
 SHAPE = (48, 64)
 PERIOD_US = 33_333
@@ -272,10 +272,6 @@ def make(**settings: Any) -> OrbbecSource:
     return OrbbecSource("tof", OrbbecSettings(**settings), HostClock())
 
 
-def frames(samples: list[Sample]) -> list[ToFFrame]:
-    return [m for s in samples for m in s.messages if isinstance(m, ToFFrame)]
-
-
 def camera_facts(samples: list[Sample]) -> dict[str, Any]:
     (facts,) = [m for s in samples for m in s.messages if isinstance(m, Facts)]
     assert facts.about == "camera"
@@ -283,11 +279,8 @@ def camera_facts(samples: list[Sample]) -> dict[str, Any]:
     return dict(facts.values)
 
 
-def drained(source: OrbbecSource, device: Device) -> list[Sample]:
-    samples: list[Sample] = []
-    while device.sent:
-        samples += source.read(0.01)
-    return [s for s in samples if s.sequence is not None]
+def numbered(source: OrbbecSource, device: Device) -> list[Sample]:
+    return [s for s in drained(source, device) if s.sequence is not None]
 
 
 def test_a_frame(sdk: FakeSdk) -> None:
@@ -440,7 +433,7 @@ def test_frames_that_are_none_are_counted(sdk: FakeSdk) -> None:
         eight,
         FrameSet(DepthFrame(9, DEPTH), DepthFrame(9, INFRARED[:10])),
     ]
-    samples = drained(source, device)
+    samples = numbered(source, device)
     assert [s.sequence for s in samples] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     assert [len(s.messages) for s in samples] == [1, 0, 0, 0, 0, 0, 1, 1, 0]
     first, without, bytes_ = frames(samples)
@@ -461,7 +454,7 @@ def test_losses_and_the_clock(sdk: FakeSdk) -> None:
         assert frame.depth is not None
         frame.depth.stamp_us = stamp
     device.sent += sent
-    samples = drained(source, device)
+    samples = numbered(source, device)
     assert [s.sequence for s in samples] == [0, 1, 4, 5]
     assert source.counts.lost == 2
     expected = [2**32 - 40_000, 2**32 - 6_667, 2**32 + 93_333]
@@ -470,7 +463,7 @@ def test_losses_and_the_clock(sdk: FakeSdk) -> None:
     assert late.depth is not None
     late.depth.stamp_us = 2_000_000_000
     device.sent += [late, restarted]
-    stamps = [(s.sequence, s.device_ns) for s in drained(source, device)]
+    stamps = [(s.sequence, s.device_ns) for s in numbered(source, device)]
     assert stamps == [(6, (2**32 + 2_000_000_000) * 1000), (7, 5_000_000_000)]
     assert source.counts.lost == 2
     assert source.counts.restarts == 1
@@ -503,7 +496,7 @@ def test_a_camera_that_is_pulled_out_is_reached_again(sdk: FakeSdk, monkeypatch:
     assert source.counts.restarts == 1
     assert not device.running
     again.sent.append(frame_set(0))
-    (sample,) = drained(source, again)
+    (sample,) = numbered(source, again)
     assert sample.sequence == 1
     assert sample.device_ns == 5_000_000_000
     assert source.counts.lost == 0
@@ -586,12 +579,5 @@ def test_the_names_of_the_sdk() -> None:
 def test_the_sdk_without_a_camera_says_so_and_keeps_quiet(tmp_path: Any) -> None:
     """Its import writes on stdout, its context makes a folder for logs."""
     pytest.importorskip("pyorbbecsdk")
-    script = (
-        "from cabinpose.signals.clock import HostClock\n"
-        "from cabinpose.record.sources.tof.orbbec import OrbbecSettings, OrbbecSource\n"
-        "print(*OrbbecSource('tof', OrbbecSettings(serial='none of these'), HostClock()).check())"
-    )
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("no Orbbec camera ")
-    assert done.stdout.count("\n") == 1
+    check_quiet_without_a_camera("orbbec", "Orbbec", "Orbbec", tmp_path)
     assert list(tmp_path.iterdir()) == []

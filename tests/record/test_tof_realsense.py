@@ -13,12 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from camera_samples import check_reached_again, drained, frames
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.tof.realsense import RealsenseSettings, RealsenseSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.recorded import Facts, Sample, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample
 
 SHAPE = (48, 64)
 DEPTH = (np.arange(48 * 64, dtype=np.uint16) + 400).reshape(SHAPE)
@@ -257,17 +258,6 @@ def make(**settings: Any) -> RealsenseSource:
     return RealsenseSource("tof", RealsenseSettings(**settings), HostClock())
 
 
-def frames(samples: list[Sample]) -> list[ToFFrame]:
-    return [m for s in samples for m in s.messages if isinstance(m, ToFFrame)]
-
-
-def drained(source: RealsenseSource, device: device) -> list[Sample]:
-    samples: list[Sample] = []
-    while device.sent:
-        samples += source.read(0.001)
-    return samples
-
-
 def test_a_frame(sdk: FakeSdk) -> None:
     """Depth in the sensor's unit, OpenCV's coefficients, infrared as amplitude, stamps of the camera's clock."""
     camera = sdk.devices[0]
@@ -390,22 +380,7 @@ def test_a_camera_that_is_pulled_out_is_reached_again(sdk: FakeSdk, monkeypatch:
     old.plugged = False
     if how == "error":
         old.sent.append(RuntimeError("Device disconnected"))
-    sdk.devices.append(device("9999"))  # another one takes its place, and is not meant
-    for _ in range(6):
-        assert frames(list(source.read(0.01))) == []
-    assert source.counts.restarts == 0
-    again = device("0123")
-    sdk.devices.append(again)
-    for _ in range(100):
-        source.read(0.005)
-        if again.running:
-            break
-    assert again.running
-    again.sent.append(frame_set(0))
-    (sample,) = [s for s in drained(source, again) if s.sequence is not None]
-    assert (sample.sequence, source.counts.restarts, source.counts.lost) == (1, 1, 0)
-    assert not sdk.devices[0].running
-    source.close()
+    check_reached_again(source, sdk.devices, device, "0123", frame_set(0))
 
 
 def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, sdk: FakeSdk) -> None:

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from camera_samples import frames
 from pydantic import ValidationError
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import DependencyError, RecordingError
 from cabinpose.record.sources.tof.royale import RoyaleSettings, RoyaleSource
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.recorded import Facts, Sample, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample
 
 LENS = {"fx": 60.0, "fy": 61.0, "cx": 31.5, "cy": 23.0, "k1": -0.2, "k2": 0.05, "p1": 0.001, "p2": -0.001, "k3": 0.01}
 CAMERA = Camera(64, 48, 60.0, 61.0, 31.5, 23.0, (-0.2, 0.05, 0.001, -0.001, 0.01))
@@ -197,10 +198,6 @@ class WithoutNumpy(OldLayout):
 
 def make(**settings: Any) -> RoyaleSource:
     return RoyaleSource("tof", RoyaleSettings(**settings), HostClock())
-
-
-def frames(samples: list[Sample]) -> list[ToFFrame]:
-    return [m for s in samples for m in s.messages if isinstance(m, ToFFrame)]
 
 
 def facts(samples: list[Sample], about: str) -> list[Facts]:

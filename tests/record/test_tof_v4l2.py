@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from camera_samples import frames
 
 from cabinpose.core.errors import ConfigError, DependencyError, RecordingError
 from cabinpose.record.config import parse_rig
 from cabinpose.record.sources.tof.v4l2 import V4l2Settings, V4l2Source
 from cabinpose.signals.clock import HostClock
-from cabinpose.signals.recorded import Facts, Sample, ToFFrame
+from cabinpose.signals.recorded import Facts, Sample
 
 LENS = {"fx": 60.0, "fy": 61.0, "cx": 31.5, "cy": 23.0, "dist": (-0.2, 0.05, 0.001, -0.001, 0.01)}
 DEPTH = (np.arange(48 * 64, dtype="<u2") + 400).reshape(48, 64)
@@ -28,10 +29,6 @@ SIZE = {"width": 64, "height": 48}
 
 def make(device: Path | str, **settings: Any) -> V4l2Source:
     return V4l2Source("tof", V4l2Settings(**{"device": device, "depth_unit_m": 0.0005, "lens": LENS} | settings), HostClock())
-
-
-def frames(samples: list[Sample]) -> list[ToFFrame]:
-    return [m for s in samples for m in s.messages if isinstance(m, ToFFrame)]
 
 
 def read(source: V4l2Source, count: int) -> list[Sample]:
