@@ -54,7 +54,7 @@ class Page:
     def remembered(self, name: str, among: Collection[T]) -> T | None:
         """The one of some things whose word stands in the address under a name, None where none does."""
         word = self.address.get(name)
-        return next((each for each in among if str(each) == word), None)
+        return None if word is None else next((each for each in among if str(each) == word), None)
 
     def label(self, number: int) -> None:
         """Open a frame, by its number, to be labelled."""
