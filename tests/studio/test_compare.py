@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("nicegui", reason="needs the extra `studio`")
 
-from cabinpose.app.studio.compare_tab import _skeletons
 from cabinpose.app.studio.joint_chart import column, joint_chart
+from cabinpose.app.studio.view3d import skeleton_lines
 from cabinpose.evaluate import FrameDistances
 
 NONE, MISSED = np.nan, np.inf
@@ -47,21 +46,7 @@ def test_a_click_is_that_of_a_column() -> None:
     assert column(SimpleNamespace(value=3.1, data_index=40)) == 40
 
 
-class View:
-    """A 3D view that notes what is drawn."""
-
-    def __init__(self) -> None:
-        self.drawn: list[tuple[Any, ...]] = []
-
-    def line(self, *ends: Any) -> Any:
-        return SimpleNamespace(material=lambda colour: self.drawn.append((*ends, colour)))
-
-    def sphere(self, radius: float) -> Any:
-        return SimpleNamespace(move=lambda *at: SimpleNamespace(material=lambda colour: self.drawn.append((at, colour))))
-
-
 def test_skeletons_have_the_limbs_whose_ends_are_there() -> None:
-    view = View()
-    people = np.array([[[0.0, 0, 1], [0, 1, 1], [np.nan, 0, 0]]])
-    _skeletons(view, people, [(0, 1), (1, 2)], "#abcdef")
-    assert view.drawn == [([0, 0, 1], [0, 1, 1], "#abcdef"), ((0, 0, 1), "#abcdef"), ((0, 1, 1), "#abcdef")]
+    person = np.array([[0.0, 0, 1], [0, 1, 1], [np.nan, 0, 0]])
+    drawn = skeleton_lines(person, [(0, 1), (1, 2)], "#abcdef")
+    assert drawn == {"colour": "#abcdef", "lines": [[[0, 0, 1], [0, 1, 1]]], "joints": [[0, 0, 1], [0, 1, 1]]}

@@ -7,12 +7,24 @@ const REFOCUS_MS = 200; // a click within that of the window's own focus brought
 const FOCUS_MS = [60, 200, 400]; // a list that closes takes the keyboard back, at some time
 const KEYS_OF = [ // which keys belong to what has the keyboard outside the image; the others are the image's
   ["input, textarea, select, [contenteditable], [role=combobox]", () => true],
-  ["button, a, [role=button], [role=tab], [role=checkbox], [role=switch], .q-item", (key) => ["Enter", " ", "Tab"].includes(key) || key.startsWith("Arrow")],
+  ["[role=tab], .q-item", (key) => ["Enter", " ", "Tab"].includes(key) || key.startsWith("Arrow")],
+  ["button, a, [role=button], [role=checkbox], [role=switch]", (key) => ["Enter", " ", "Tab"].includes(key)],
   ["[role=slider], .q-slider", (key) => key === "Tab" || key.startsWith("Arrow")],
   ["*", (key) => key === "Tab"],
 ];
 const OURS = /^([^?]|Enter|Tab|Escape|Arrow.*)$/; // browsers keep the others, and the page the list of keys
+const KEPT = 8; // images, where those that may come next are fetched before they are shown
 const counted = (count) => (count === 1 ? "1 input" : count + " inputs");
+
+// What `packed` of pictures.py wrote: `count` numbers as differences, the low bytes first; also for points.js.
+window.studioUnpack = (bytes, at, count, wide) => {
+  const values = wide ? new Uint16Array(count) : new Uint8Array(count);
+  for (let i = 0, last = 0; i < count; i++) {
+    const even = wide ? bytes[at + i] | (bytes[at + count + i] << 8) : bytes[at + i];
+    values[i] = last = (last + ((even >>> 1) ^ -(even & 1))) & 0xffff;
+  }
+  return values;
+};
 
 export default {
   template: `
@@ -26,10 +38,10 @@ export default {
       <div v-if="state" style="position:absolute;inset:0;display:flex;align-items:center;justify-content:center;color:#889;
         font:14px sans-serif;pointer-events:none">{{ state }}</div>
     </div>`,
-  props: { keeps: String, url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array, inputs: String, most: Number },
+  props: { keeps: String, url: String, near: Number, far: Number, people: Array, limbs: Array, editable: Boolean, live: Boolean, selected: Array, palette: Array, inputs: String, most: Number, ahead: Array, taken: Array },
   data: () => ({ unwritten: "", untaken: "", state: "loading", seen: "", image: null, view: null, drag: null, pointer: null, loads: 0, loading: false, shown: [], loaded: 0, waiting: false }),
   created() { // what is done here and not yet there, oldest first
-    Object.assign(this, { keeping: [], queue: [], number: 0, name: Math.random().toString(36).slice(2), sending: false, trouble: "", closed: false });
+    Object.assign(this, { keeping: [], queue: [], number: 0, name: Math.random().toString(36).slice(2), sending: false, trouble: "", closed: false, cache: new Map() });
     this.leaving = (event) => { if (this.queue.length) event.preventDefault(); };
   },
   mounted() {
@@ -45,6 +57,7 @@ export default {
     this.toFront = () => { this.frontSince = performance.now(); };
     window.addEventListener("focus", this.toFront);
     if (this.inputs) document.addEventListener("keydown", this.key);
+    if (this.taken) document.addEventListener("keydown", this.press);
     this.kept = this.keeps ? (new URL(location).searchParams.get(this.keeps) || "").split(",").map(Number) : [];
     if (this.inputs) this.focus();
     this.load();
@@ -55,6 +68,7 @@ export default {
     window.removeEventListener("beforeunload", this.leaving);
     window.removeEventListener("focus", this.toFront);
     document.removeEventListener("keydown", this.key);
+    document.removeEventListener("keydown", this.press);
     this.keeping.forEach(clearTimeout);
   },
   watch: {
@@ -75,16 +89,12 @@ export default {
       if (!url) { this.state = "no image"; this.seen = ""; this.image = null; this.take(); return; }
       this.loading = true;
       try {
-        const answer = await fetch(url);
-        if (!answer.ok) throw new Error(await answer.text());
-        const bytes = await answer.arrayBuffer();
+        const image = await (this.ahead ? this.fetched(url) : this.fetchImage(url));
         if (load !== this.loads) return; // another frame was asked for meanwhile
         this.loaded = load;
-        const [width, height] = ["x-width", "x-height"].map((name) => +answer.headers.get(name));
-        const step = +answer.headers.get("x-step"), kind = answer.headers.get("x-kind");
-        const values = answer.headers.get("x-bits") === "8" ? new Uint8Array(bytes) : new Uint16Array(bytes);
+        const { width, height } = image;
         const same = this.image && this.image.width === width && this.image.height === height;
-        this.image = { width, height, step, kind, values, unit: answer.headers.get("x-unit") || "" };
+        this.image = image;
         if (!same) this.view = null;
         this.state = "";
         this.seen = url; // goes with all that is done: the server ignores what was meant for the image before
@@ -92,6 +102,7 @@ export default {
         this.colour();
         this.take();
         this.$emit("loaded");
+        for (const next of this.ahead || []) this.fetched(next).catch(() => null);
       } catch (error) {
         if (load !== this.loads) return;
         this.loading = false;
@@ -102,6 +113,22 @@ export default {
         this.draw();
         this.$emit("loaded");
       }
+    },
+    async fetchImage(url) {
+      const answer = await fetch(url);
+      if (!answer.ok) throw new Error(await answer.text());
+      const body = await answer.arrayBuffer(), told = (name) => answer.headers.get("x-" + name);
+      const [width, height] = [+told("width"), +told("height")], wide = told("bits") !== "8";
+      const values = told("packed") ? window.studioUnpack(new Uint8Array(body), 0, width * height, wide) : wide ? new Uint16Array(body) : new Uint8Array(body);
+      return { width, height, step: +told("step"), kind: told("kind"), values, unit: told("unit") || "" };
+    },
+    fetched(url) { // an image, asked for once
+      const image = this.cache.get(url) || this.fetchImage(url);
+      this.cache.delete(url); // to the end of those that are kept
+      this.cache.set(url, image);
+      image.catch(() => this.cache.delete(url));
+      for (const [old] of this.cache) if (this.cache.size > KEPT) this.cache.delete(old);
+      return image;
     },
     recolour() { // once for all that changes together; not for an image that is on its way out
       if (this.waiting) return;
@@ -256,10 +283,17 @@ export default {
       const inside = x >= 0 && y >= 0 && x < width && y < height, value = inside ? values[y * width + x] : 0;
       this.$refs.note.textContent = inside ? `${x}, ${y}: ${value ? (value * step).toFixed(unit === "m" ? 3 : 0) + " " + unit : "invalid"}` : "";
     },
-    key(event) { // of the whole page, while the image is seen and nothing else that has the keyboard wants it
-      const at = event.target, inside = this.$refs.box.contains(at);
-      if (!OURS.test(event.key) || !this.$refs.box.offsetParent || document.querySelector(".q-dialog, .q-menu")) return;
-      if (!inside && KEYS_OF.find(([what]) => at.closest(what))?.[1](event.key)) return;
+    free(event) { // a key anywhere on the page, while the image is seen and nothing else that has the keyboard wants it
+      if (!this.$refs.box.offsetParent || document.querySelector(".q-dialog, .q-menu")) return false;
+      return this.$refs.box.contains(event.target) || !KEYS_OF.find(([what]) => event.target.closest(what))?.[1](event.key);
+    },
+    press(event) {
+      if (!this.taken.includes(event.key) || event.ctrlKey || event.metaKey || event.altKey || !this.free(event)) return;
+      event.preventDefault();
+      this.$emit("pressed", event.key);
+    },
+    key(event) {
+      if (!OURS.test(event.key) || !this.free(event)) return;
       if (event.key === "Escape") { this.keeping.forEach(clearTimeout); this.$refs.box.blur(); return; }
       if (event.ctrlKey || event.metaKey || event.altKey) { if (!(event.ctrlKey && event.key === "z")) return; }
       event.preventDefault();

@@ -58,12 +58,14 @@ class FrameCanvas(Element, component="canvas.js"):
         live: bool = False,
         keeps: str = "",
         on_input: Callable[[Input], str] | None = None,
+        on_pressed: Mapping[str, Callable[[], Any]] | None = None,
         on_loaded: Callable[[], Any] | None = None,
     ) -> None:
         """live: an image that cannot be had any more leaves the one before · keeps: under which name zoom stands in the address.
 
-        on_input: does what was asked for, and gives why it could not be, or "" · on_loaded: the browser has an image, or knows
-        that it cannot be had.
+        on_input: does what was asked for, and gives why it could not be, or "" · on_pressed: what keys do, by their names in
+        browsers, which the image takes wherever on the page nothing else wants them · on_loaded: the browser has an image, or
+        knows that it cannot be had.
         """
         super().__init__()
         self.classes("w-full h-full")
@@ -75,6 +77,9 @@ class FrameCanvas(Element, component="canvas.js"):
             key = secrets.token_urlsafe()
             self._props["inputs"] = f"/inputs/{key}"
             _LISTENING[key] = self
+        if on_pressed is not None:
+            self._props["taken"] = list(on_pressed)
+            self.on("pressed", lambda event: on_pressed.get(event.args, lambda: None)())
         if on_loaded is not None:
             self.on("loaded", lambda _: on_loaded(), args=[])
 
@@ -110,9 +115,19 @@ class FrameCanvas(Element, component="canvas.js"):
             app.handle_exception(error)
             return "something went wrong in the studio, which its terminal says"
 
-    def show(self, url: str, *, near: float, far: float, palette: Sequence[Sequence[int]] | None = None) -> None:
-        """Show the image behind a URL of `pictures`, coloured from `near` to `far` in its unit."""
+    def show(
+        self,
+        url: str,
+        *,
+        near: float,
+        far: float,
+        palette: Sequence[Sequence[int]] | None = None,
+        ahead: Sequence[str] | None = None,
+    ) -> None:
+        """Show the image behind a URL of `pictures`, coloured from `near` to `far` in its unit; ahead: those that may be next."""
         self._props |= {"url": url, "near": near, "far": far, "palette": palette or colour_map().tolist()}
+        if ahead is not None:
+            self._props["ahead"] = list(ahead)
         self.update()
 
     def set_editable(self, editable: bool) -> None:

@@ -1,4 +1,4 @@
-"""Point clouds and skeletons for the browser's 3D view, as binary glTF."""
+"""Point clouds for the browser's 3D view: of frames packed, of scenes as binary glTF."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import xarray as xr
 from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
 
-from cabinpose.app.studio.pictures import row_of
+from cabinpose.app.studio.pictures import packed_response, row_of
 from cabinpose.app.view.draw import cloud_colours
 from cabinpose.core import FORWARD_FROM_CAMERA, CabinposeError, FrameBatch, apply, camera_from, transform
-from cabinpose.store import PERSON_COLOUR, points_m
+from cabinpose.store import PERSON_COLOUR, camera_of
 
 MOST_POINTS = 60_000  # of a cloud in the browser: more cost frames a second and show nothing new
+_FAR_MM = 32_767  # 16 bits
 MOST_LIVE = 12_000  # of a live cloud, which comes several times a second
 
 
@@ -30,10 +31,24 @@ def cloud_glb(points: NDArray[np.floating], colours: NDArray[np.uint8]) -> bytes
 
 
 def frame_cloud(frame: xr.Dataset, variable: str = "depth") -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Points (n, 3) m in the vehicle's frame of one frame of a dataset in memory, and their colours."""
+    """Points (n, 3) m in the vehicle's frame of a frame of a dataset, at most `MOST_POINTS`, evenly taken; and their colours."""
+    depth = frame[variable].values
+    height, width = depth.shape
     amplitude = frame["amplitude"].values if "amplitude" in frame else None
-    points = points_m(frame, variable).values
-    return _coloured(points, amplitude, frame["instance"].values, frame["vehicle_from_camera"].values)
+    there = np.flatnonzero(np.isfinite(depth))
+    there = there[:: max(-(-len(there) // MOST_POINTS), 1)]
+    z = depth.ravel()[there].astype(np.float64)
+    xy = camera_of(frame, width, height).rays.reshape(-1, 2)[there]
+    shade, white = _shades(depth, amplitude)
+    colours = cloud_colours(frame["instance"].values.ravel()[there], shade.ravel()[there], white)
+    return apply(frame["vehicle_from_camera"].values, np.column_stack((xy * z[:, None], z))), colours
+
+
+def _shades(z: NDArray[np.floating], amplitude: NDArray[Any] | None) -> tuple[NDArray[Any], float]:
+    """What points are shaded by, amplitudes or else nearness, and that of white."""
+    if amplitude is None:  # nearer is brighter
+        amplitude = np.nan_to_num(1000 / np.maximum(z, 0.1)).astype(np.uint16)
+    return amplitude, float(np.quantile(amplitude, 0.99))
 
 
 def live_cloud(frame: FrameBatch) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
@@ -54,28 +69,42 @@ def _coloured(
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """The valid ones of points (H, W, 3) of the camera's frame in another frame, and their colours."""
     valid = np.isfinite(points).all(axis=-1)
-    if amplitude is None:  # nearer is brighter
-        amplitude = np.nan_to_num(1000 / np.maximum(points[..., 2], 0.1)).astype(np.uint16)
-    colours = cloud_colours(instance, amplitude, float(np.quantile(amplitude, 0.99)))
+    colours = cloud_colours(instance, *_shades(points[..., 2], amplitude))
     return apply(to_from_camera, points[valid].astype(np.float64)), colours[valid]
 
 
 def cloud_routes(dataset: Callable[[str], xr.Dataset | None]) -> APIRouter:
-    """`/clouds/{key}/{number}/{variable}.glb`: a cloud of the dataset that is open and has this key, in the vehicle's frame."""
+    """`/clouds/{key}/{number}/{variable}`: a cloud of the dataset that is open and has this key, in the vehicle's frame.
+
+    x, y, z in mm, then red, green, blue, all points of each one after the other, see `packed`.
+    """
     router = APIRouter()
 
-    @router.get("/clouds/{key}/{number}/{variable}.glb")
+    @router.get("/clouds/{key}/{number}/{variable}")
     def cloud(key: str, number: int, variable: str) -> Response:
         opened = dataset(key)
         if opened is None or not variable.startswith("depth") or variable not in opened:
             raise HTTPException(404, "there is no such cloud")
         try:
-            frame = opened.isel(frame=row_of(opened, number)).load()
+            points, colours = frame_cloud(opened[_needed(opened, variable)].isel(frame=row_of(opened, number)).load(), variable)
         except (CabinposeError, OSError) as error:  # the dataset vanished, or is damaged
             raise HTTPException(404, str(error)) from error
-        return Response(cloud_glb(*frame_cloud(frame, variable)), media_type="model/gltf-binary")
+        mm = np.clip(np.rint(1000 * points), -_FAR_MM, _FAR_MM).astype(np.int16)
+        return packed_response([*mm.T, *colours.T], {"x-points": str(len(mm))})
 
     return router
+
+
+def _needed(dataset: xr.Dataset, depth: str) -> list[str]:
+    """What a cloud is made of."""
+    return [
+        depth,
+        "instance",
+        "camera_k",
+        "camera_dist",
+        "vehicle_from_camera",
+        *(["amplitude"] if "amplitude" in dataset else []),
+    ]
 
 
 def person_colour(index: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from cabinpose.app.studio.dataset_tab import people_of
 from cabinpose.app.studio.joint_chart import COLUMNS, column, height, joint_chart
 from cabinpose.app.studio.models import Judged, detectors, error_words, judged, load_choice, worst_first
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
-from cabinpose.app.studio.view3d import look_through, view_3d
+from cabinpose.app.studio.view3d import FramePoints, look_through, skeleton_lines, view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
 from cabinpose.core import CabinposeError, PoseBatch, apply, skeleton_of
 from cabinpose.evaluate import EvaluationOptions, common_joints, joint_distances, predict_dataset, shared_places
@@ -246,6 +246,8 @@ class CompareTab:
                 self._canvas = FrameCanvas()
             with ui.element("div").classes("studio-pane") as pane:
                 self._cloud = view_3d()
+                with self._cloud:
+                    self._points = FramePoints()
                 pane.on("resize", self._cloud.update)
                 self._eye_set = False
             with ui.column().style("width: 260px; gap: 4px; overflow-y: auto"):
@@ -323,17 +325,15 @@ class CompareTab:
     def _show_cloud(self, frame: Any) -> None:
         """The frame's cloud with truth in white and each model's answers in its colour."""
         workspace, vehicle_from_camera = self._workspace, frame["vehicle_from_camera"].values
-        self._cloud.clear()
-        with self._cloud:
-            if "depth" in self._dataset:
-                self._cloud.gltf(workspace.cloud_url(int(frame["frame"]), "depth"))
-            _skeletons(
-                self._cloud, apply(vehicle_from_camera, frame["joints_3d"].values), dataset_skeleton(frame).limbs, "#ffffff"
-            )
-            for index, model in enumerate(workspace.predictions.values()):
-                batch = model.take(np.array([int(frame["frame"])]))
-                found = np.where(batch.presence[0, ..., None] >= _PRESENT, batch.joints_3d[0], np.nan)
-                _skeletons(self._cloud, apply(vehicle_from_camera, found), skeleton_of(model).limbs, _colour(index))
+        places = apply(vehicle_from_camera, frame["joints_3d"].values.astype(np.float64))
+        people = [skeleton_lines(person, dataset_skeleton(frame).limbs, "#ffffff") for person in places]
+        for index, model in enumerate(workspace.predictions.values()):
+            batch = model.take(np.array([int(frame["frame"])]))
+            found = np.where(batch.presence[0, ..., None] >= _PRESENT, batch.joints_3d[0], np.nan).astype(np.float64)
+            limbs = skeleton_of(model).limbs
+            people += [skeleton_lines(person, limbs, _colour(index)) for person in apply(vehicle_from_camera, found)]
+        url = workspace.cloud_url(int(frame["frame"]), "depth") if "depth" in self._dataset else ""
+        self._points.show(url, people)
         if not self._eye_set:
             self._eye_set = True
             look_through(self._cloud, vehicle_from_camera)
@@ -341,17 +341,6 @@ class CompareTab:
 
 _TITLE = {"fontSize": 13, "fontWeight": "normal", "color": "#888"}
 _PRESENT = EvaluationOptions().presence
-
-
-def _skeletons(view: Any, people: NDArray[np.floating], limbs: Sequence[tuple[int, int]], colour: str) -> None:
-    """Draw people (P, J, 3) m in the vehicle's frame, NaN where there is no joint."""
-    for points in people.astype(np.float64):
-        there = np.isfinite(points).all(axis=1)
-        for a, b in limbs:
-            if there[a] and there[b]:
-                view.line(points[a].tolist(), points[b].tolist()).material(colour)
-        for point in points[there]:
-            view.sphere(0.015).move(*point.tolist()).material(colour)
 
 
 def _colour(index: int) -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+import time
+from collections.abc import Callable
+from functools import cached_property, partial
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -14,7 +17,7 @@ from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.models import FrameErrors, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.tab import Page, Tab, no_dataset
-from cabinpose.app.studio.view3d import look_through, view_3d
+from cabinpose.app.studio.view3d import FramePoints, look_through, skeleton_lines, view_3d
 from cabinpose.app.studio.workspace import depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
 from cabinpose.app.view.summary import BIN_M, summarise
@@ -22,6 +25,8 @@ from cabinpose.core import CabinposeError, ConfigError, Visibility, apply
 from cabinpose.store import PERSON_COLOUR, completions, dataset_skeleton, frames_where, label_colours, query_columns
 
 _FILTERS = ("subject", "action", "car", "pov")
+_PAGE = 20  # frames
+_ANSWER_S = 2.0  # a browser that has not shown a frame by then is sent the next one all the same
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}
 _INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
 
@@ -39,6 +44,9 @@ class DatasetTab:
         self._limbs = dataset_skeleton(self._dataset).limbs
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
         self._position = 0
+        self._shown_at: float | None = None  # when the frame was sent that the browser has not shown yet
+        self._url, self._before, self._next = "", 0, list[int]()
+        self._answers = self._behind = False  # whether it says that it has · whether another frame is due then
         self._errors: FrameErrors | None = None  # of the predictions that are chosen
         self._condition = page.address.get("dataset.where", "")
         begin = page.remembered("dataset.frame", self._dataset["frame"].values.tolist())
@@ -47,7 +55,6 @@ class DatasetTab:
                 self._build_side()
             with ui.column().classes("studio-main"):
                 self._build_main()
-        ui.keyboard(on_key=self._key)
         self._filter()
         if begin is not None and (places := np.flatnonzero(self._dataset["frame"].values[self._rows] == begin)).size:
             self._go(int(places[0]))
@@ -107,16 +114,18 @@ class DatasetTab:
         self._range = ui.range(min=0.0, max=round(max(4.0, far), 2), step=0.01, value={"min": near, "max": far}).props("label")
         self._range.on_value_change(self._show)
         ui.separator()
-        self._facts = ui.column().style("gap: 2px; font-size: 13px; width: 100%")
+        self._facts = ui.html(sanitize=False).classes("studio-facts w-full")
         ui.button("Label this frame", icon="edit", on_click=self._label_this).props("outline dense no-caps").classes("w-full")
         ui.button("Statistics", icon="bar_chart", on_click=self._statistics).props("outline dense no-caps").classes("w-full")
 
     def _build_main(self) -> None:
         with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
             with ui.element("div").classes("studio-pane"):
-                self._canvas = FrameCanvas()
+                self._canvas = FrameCanvas(on_pressed=self._steps(), on_loaded=self._loaded).mark("frame")
             with ui.element("div").classes("studio-pane") as pane:
                 self._scene = view_3d()
+                with self._scene:
+                    self._points = FramePoints()
                 pane.on("resize", self._scene.update)
         with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
             ui.button(icon="chevron_left", on_click=lambda: self._go(self._position - 1)).props("flat round dense")
@@ -126,9 +135,14 @@ class DatasetTab:
             self._number = ui.label().style("min-width: 150px; text-align: right; font-variant-numeric: tabular-nums")
         self._camera_set = False
 
-    def _key(self, event: Any) -> None:
-        if self._page.front() == TAB.name and event.action.keydown and event.key in ("ArrowLeft", "ArrowRight"):
-            self._go(self._position + (1 if event.key == "ArrowRight" else -1))
+    def _steps(self) -> dict[str, Callable[[], None]]:
+        """What keys do while the image is seen."""
+        by = {"ArrowLeft": -1, "ArrowRight": 1, "PageUp": -_PAGE, "PageDown": _PAGE}
+        ends = {"Home": lambda: self._go(0), "End": lambda: self._go(len(self._rows) - 1)}
+        return {**{key: partial(self._step, step) for key, step in by.items()}, **ends}
+
+    def _step(self, step: int) -> None:
+        self._go(self._position + step)
 
     async def _judge(self) -> None:
         """Find how far the chosen predictions are off, which is asked for again after each change of labels by choosing anew."""
@@ -183,12 +197,18 @@ class DatasetTab:
         self._rows = np.flatnonzero(chosen)
         if self._errors is not None:
             self._rows = self._errors.choose(self._rows, self._over.value, self._worst.value, by_error=self._sorted.value)
+        self._slider.props(f"max={max(len(self._rows) - 1, 1)}")
         self._go(0)
 
     def _go(self, position: int) -> None:
-        position = min(max(position, 0), max(len(self._rows) - 1, 0))
-        self._position = position
+        self._position = min(max(position, 0), max(len(self._rows) - 1, 0))
         self._show()
+
+    def _loaded(self) -> None:
+        """The browser shows the frame that it was sent: the newest of those asked for meanwhile is next."""
+        self._answers, self._shown_at = True, None
+        if self._behind:
+            self._show()
 
     def _label_this(self) -> None:
         if len(self._rows):
@@ -196,6 +216,8 @@ class DatasetTab:
 
     def _look(self) -> None:
         """Offer the frames that have come since, and the predictions that Compare has opened or run; say if the data are gone."""
+        if self._behind:
+            self._show()
         assert self._workspace.dataset is not None
         try:
             new = self._workspace.new_frames() + self._workspace.dataset.sizes["frame"] - self._dataset.sizes["frame"]
@@ -217,37 +239,50 @@ class DatasetTab:
         ui.navigate.reload()
 
     def _show(self) -> None:
+        """Show the frame; while the browser is busy with the one before, once it is not: a held key piles nothing up."""
+        self._behind = self._shown_at is not None and time.monotonic() - self._shown_at < _ANSWER_S
+        if self._behind:
+            return
         try:
             self._show_frame()
         except (CabinposeError, OSError) as error:
             ui.notify(f"this frame cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
 
+    @cached_property
+    def _small(self) -> Any:
+        """The dataset without its images."""
+        return self._dataset[[str(name) for name in self._dataset.data_vars if "y" not in self._dataset[name].dims]]
+
     def _show_frame(self) -> None:
         count = len(self._rows)
         self._count.text = f"{count} of {self._dataset.sizes['frame']} frames"
-        self._slider.props(f"max={max(count - 1, 1)}")
         self._slider.value = self._position
         if not count:
             self._number.text = "no frame fits"
             self._canvas.show("", near=0, far=1)
             self._canvas.joints([], [])
-            self._facts.clear()
+            self._points.show("", [])
+            self._facts.content = ""
             return
         row = int(self._rows[self._position])
-        small = self._dataset[[str(n) for n in self._dataset.data_vars if "y" not in self._dataset[n].dims]]
-        frame = small.isel(frame=row).load()
+        frame = self._small.isel(frame=row).load()
         self._number.text = f"frame {int(frame['frame'])}"
         self._page.remember({"dataset.frame": int(frame["frame"])})
+        self._next = self._ahead()
         self._show_image(row)
         self._canvas.joints(people_of(frame) if self._skeleton.value else [], self._limbs)
         self._show_cloud(frame)
-        self._facts.clear()
-        with self._facts:
-            error = [] if self._errors is None else [("error", self._errors.words(row))]
-            for name, value in (*error, *_facts(frame)):
-                with ui.row().classes("no-wrap w-full").style("gap: 8px"):
-                    ui.label(name).style("opacity: .65; min-width: 90px")
-                    ui.label(value)
+        error = [] if self._errors is None else [("error", self._errors.words(row))]
+        self._facts.content = "".join(
+            f"<div><span>{escape(name)}</span><span>{escape(value)}</span></div>" for name, value in (*error, *_facts(frame))
+        )
+
+    def _ahead(self) -> list[int]:
+        """Numbers of the frames that arrow keys come to next, that of the way which was gone first."""
+        step = 1 if self._position >= self._before else -1
+        self._before = self._position
+        places = [place for place in (self._position + step, self._position - step) if 0 <= place < len(self._rows)]
+        return self._dataset["frame"].values[self._rows[places]].tolist()
 
     def _show_image(self, row: int) -> None:
         name = self._image.value
@@ -260,23 +295,20 @@ class DatasetTab:
         else:
             near, far = 0.0, 255.0
             palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else _INSTANCES
-        number = int(self._dataset["frame"].values[row])
-        self._canvas.show(self._workspace.url(number, str(name)), near=near, far=far, palette=palette)
+        url = self._workspace.url(int(self._dataset["frame"].values[row]), str(name))
+        if self._answers and url != self._url:
+            self._shown_at = time.monotonic()
+        self._url = url
+        ahead = [self._workspace.url(number, str(name)) for number in self._next]
+        self._canvas.show(url, near=near, far=far, palette=palette, ahead=ahead)
 
     def _show_cloud(self, frame: Any) -> None:
-        self._scene.clear()
         depth = self._image.value if self._image.value in DEPTHS else "depth"
         vehicle_from_camera = frame["vehicle_from_camera"].values
-        with self._scene:
-            self._scene.gltf(self._workspace.cloud_url(int(frame["frame"]), depth))
-            for index, person in enumerate(frame["joints_3d"].values):
-                points = apply(vehicle_from_camera, person.astype(np.float64))
-                there = np.asarray(np.isfinite(points).all(axis=1))
-                for a, b in self._limbs:
-                    if there[a] and there[b]:
-                        self._scene.line(points[a].tolist(), points[b].tolist()).material(person_colour(index))
-                for point in points[there]:
-                    self._scene.sphere(0.015).move(*point.tolist()).material(person_colour(index))
+        places = apply(vehicle_from_camera, frame["joints_3d"].values.astype(np.float64))
+        people = [skeleton_lines(person, self._limbs, person_colour(index)) for index, person in enumerate(places)]
+        url = self._workspace.cloud_url
+        self._points.show(url(int(frame["frame"]), depth), people, [url(number, depth) for number in self._next[:1]])
         if not self._camera_set:
             self._camera_set = True
             look_through(self._scene, vehicle_from_camera)
@@ -349,7 +381,9 @@ def _build(page: Page) -> None:
 
 
 _KEYS = (
-    ("← →", "the frame before, the next one"), ("Enter", "in the condition: the frames for which it holds"),
+    ("← →", "the frame before, the next one"), ("Page Up, Page Down", f"{_PAGE} frames back, on"),
+    ("Home, End", "the first, the last"),
+    ("Enter", "in the condition: the frames for which it holds"),
     ("Tab", "in the condition: take what it completes"), IMAGE_KEYS,
 )  # fmt: skip
 TAB = Tab("Dataset", _build, _KEYS, of_dataset=True)

@@ -20,6 +20,7 @@ body { font-family: system-ui, sans-serif; }
 .studio-side { width: 290px; min-width: 290px; overflow-y: auto; gap: 8px; }
 .studio-main { flex: 1; min-width: 0; height: 100%; gap: 8px; }
 .studio-pane { flex: 1; min-width: 0; min-height: 0; border-radius: 6px; overflow: hidden; background: #1b1e24; }
+.frame-canvas > div:empty { display: none; }
 .frame-canvas { outline: none; } .frame-canvas:focus-visible { outline: 2px solid #4f9fd8; outline-offset: -2px; }
 .studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
 .studio-joint { gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer; }
@@ -27,6 +28,9 @@ body { font-family: system-ui, sans-serif; }
 .studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
 .studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 0; }
 .studio-side .q-field__bottom { position: static; transform: none; min-height: 0; padding: 2px 12px; }
+.studio-facts { font-size: 13px; } .studio-facts div { display: flex; gap: 8px; }
+.studio-facts span { min-width: 0; overflow-wrap: anywhere; }
+.studio-facts span:first-child { min-width: 90px; opacity: .7; }
 .studio-news { gap: 4px; padding: 6px 8px; border-radius: 4px; background: #c9820033; }
 .q-tab-panel { padding: 0; overflow: hidden; }
 """

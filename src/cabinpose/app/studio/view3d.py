@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from nicegui import ui
+from nicegui.elements.scene.scene_object3d import Object3D
 from numpy.typing import NDArray
 
 # NiceGUI draws twenty times a second, also what nobody sees. Without a GPU that takes a whole core, and with it the time that
@@ -47,3 +48,24 @@ def look_through(view: ui.scene, vehicle_from_camera: NDArray[np.float64]) -> No
     target = vehicle_from_camera[:3, 3] + 1.2 * vehicle_from_camera[:3, 2]
     (x, y, z), (look_x, look_y, look_z) = eye.tolist(), target.tolist()
     view.move_camera(x, y, z, look_x, look_y, look_z, 0, 0, 1, duration=0)
+
+
+class FramePoints(Object3D, component="points.js"):
+    """A frame's cloud and its skeletons, in the view in whose block it is made; the browser takes as many as it can draw."""
+
+    def show(self, url: str, skeletons: Sequence[dict[str, Any]], ahead: Sequence[str] = ()) -> None:
+        """Show the cloud behind a URL of `clouds` ("": none) with `skeleton_lines`; ahead: URLs that may come next."""
+        self.args = [url, list(skeletons), list(ahead)]
+        self.run_method("show", *self.args)
+
+
+def skeleton_lines(points: NDArray[np.floating], limbs: Sequence[Sequence[int]], colour: str) -> dict[str, Any]:
+    """A person's joints (J, 3) m in the view's frame, NaN where there is none, as `FramePoints` draws them."""
+    there = np.isfinite(points).all(axis=1)
+    places = np.round(points, 4).tolist()
+    lines = [[places[a], places[b]] for a, b in limbs if there[a] and there[b]]
+    return {
+        "colour": colour,
+        "lines": lines,
+        "joints": [place for place, is_there in zip(places, there, strict=True) if is_there],
+    }

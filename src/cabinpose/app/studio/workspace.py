@@ -128,7 +128,7 @@ class Workspace:
 
     def cloud_url(self, number: int, depth: str) -> str:
         """Where the browser finds the cloud of a depth image of the frame of a number."""
-        return f"/clouds/{self.key}/{number}/{depth}.glb"
+        return f"/clouds/{self.key}/{number}/{depth}"
 
     def corrected(self, dataset: xr.Dataset) -> xr.Dataset:
         """The dataset, as it was opened, with the labels that were set; as it was while there are none."""

@@ -1,0 +1,73 @@
+"""The Dataset tab in a browser, by keys alone."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.studio import on_screen
+from cabinpose.store import open_dataset
+
+
+def seen(page: Any, frame: int) -> None:
+    page.locator(f".frame-canvas[data-seen$='/{frame}/depth']:visible").wait_for()
+
+
+@pytest.mark.slow
+def test_arrows_show_every_frame_and_fetch_it_once(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    fetched: Counter[str] = Counter()
+    page.on("request", lambda request: fetched.update([request.url.split("/")[-2]]) if "/frames/" in request.url else None)
+    page.goto(start(dataset_folder).address)
+    seen(page, 0)
+    page.evaluate(
+        """() => { window.shown = []; const canvas = document.querySelector(".frame-canvas");
+        new MutationObserver(() => shown.push(+canvas.dataset.seen.split("/").at(-2))).observe(canvas, { attributes: true }); }"""
+    )
+    for frame in (1, 2, 3, 4, 5):
+        page.keyboard.press("ArrowRight")
+        seen(page, frame)
+    assert page.evaluate("shown") == [1, 2, 3, 4, 5]
+    assert fetched == {str(frame): 1 for frame in range(6)}
+    page.keyboard.press("Home")
+    seen(page, 0)
+    for _ in range(40):
+        page.keyboard.down("ArrowRight")  # held: as fast as they come
+    page.keyboard.up("ArrowRight")
+    seen(page, 5)
+    page.get_by_text("frame 5", exact=True).wait_for()
+    depth = open_dataset(dataset_folder)["depth"][5].values
+    valid = np.argwhere(np.isfinite(depth))
+    v, u = valid[len(valid) // 2].tolist()
+    canvas = page.locator(".frame-canvas:visible")
+    page.mouse.move(*on_screen(canvas, (u, v), (depth.shape[1], depth.shape[0])))
+    page.get_by_text(re.compile(rf"^{u}, {v}: {depth[v, u]:.3f} m$")).wait_for()
+
+
+@pytest.mark.slow
+def test_arrows_are_of_the_tab_in_front_and_of_what_has_the_keyboard(
+    page: Any, start: Callable[..., Any], dataset_folder: Path
+) -> None:
+    page.goto(start(dataset_folder).address)
+    seen(page, 0)
+    page.get_by_label("frames where").focus()
+    page.keyboard.press("ArrowRight")
+    page.get_by_role("tab", name="Dataset").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    page.locator(".frame-canvas[data-seen$='/0/depth']:visible").wait_for()
+    page.wait_for_function("document.activeElement.className.includes('frame-canvas')")  # of Label
+    page.keyboard.press("Escape")
+    page.keyboard.press("ArrowRight")
+    page.get_by_role("tab", name="Dataset").click()
+    page.get_by_text("frame 0", exact=True).wait_for()
+    page.locator("body").press("ArrowRight")
+    page.get_by_text("frame 0", exact=True).wait_for()  # the bar of tabs has the keyboard
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("ArrowRight")
+    seen(page, 1)
