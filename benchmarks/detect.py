@@ -26,6 +26,7 @@ from cabinpose.synth.config import CabinScene, SynthConfig, room_preset
 AIMS = {"compact": 60.0, "paf": 8.0}  # frames a second, one at a time, on two cores
 _PEOPLE = ("driver", "front_passenger")
 _SHOWN = 8  # different frames, taken in turn
+_VIEWS = {"room_top": "room_top"}  # of models that are meant for another view than the first one of their skeleton's scenes
 _SEED = 1
 _EXTRA = ("torch", "lightning", "onnx")
 
@@ -101,7 +102,7 @@ def _trained(predictors: Sequence[JointPredictor]) -> dict[str, Subject]:
     subjects: dict[str, Subject] = {}
     for predictor in predictors:
         name = predictor.name if names.count(predictor.name) == 1 else str(predictor.model.path)
-        shown = bench_frames(predictor.skeleton)
+        shown = bench_frames(predictor.skeleton, _VIEWS.get(predictor.name, ""))
         subjects[name] = OurDetector(predictor, shown, weights="file", decodes="own", **_about(predictor, shown))
     return subjects
 
@@ -134,12 +135,14 @@ def _peers(folder: Path, threads: int) -> dict[str, Subject]:
 
 
 @cache
-def bench_frames(skeleton: str) -> tuple[Frame, ...]:
+def bench_frames(skeleton: str, view: str = "") -> tuple[Frame, ...]:
     """The frames that models of a skeleton are timed on: driver and front passenger from the front row's view at 352 x 287; for
-    ITOP's skeleton one person in a room at 320 x 240.
+    ITOP's skeleton one person in a room at 320 x 240, from the front or from the view that is named.
     """
     if skeleton == "itop":
         config = room_preset()
+        if view:
+            config = config.model_copy(update={"camera": config.camera.model_copy(update={"views": {view: 1.0}})})
     else:
         occupancy = {slot: float(slot in _PEOPLE) for slot in OCCUPANT_SLOTS}
         config = SynthConfig(

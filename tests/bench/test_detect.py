@@ -55,7 +55,7 @@ def small_bench(frames: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch) -> Non
     tiny = Peer(lambda: RtmPose(0.125, 0.167, size=(64, 64)), (64, 64), "a crop", 3.34, 0.36)
     monkeypatch.setattr(detect, "AIMS", {"compact": 60.0})
     monkeypatch.setattr("benchmarks.peers.PEERS", {"tiny": tiny})
-    monkeypatch.setattr(detect, "bench_frames", lambda skeleton: frames)
+    monkeypatch.setattr(detect, "bench_frames", lambda skeleton, view="": frames)
     monkeypatch.setattr(detect, "packaged_detectors", dict)
 
 

@@ -4,7 +4,8 @@
 
 Makes FRAMES (17) frames for each packaged sensor and each of six kinds of scenes, opens and looks at them as `info` does, and
 asks the models that know such scenes; then looks at the sample, and at the real data that `CABINPOSE_REAL_DATA` names. Frames
-whose people are nearer or farther than the sensor's range, as in rooms, show nobody: models are not asked of them.
+whose people are nearer or farther than the sensor's range, as in rooms, show nobody: models are not asked of them. What a model
+says of frames in its result is counted frame by frame: its warning comes only once.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ import xarray as xr
 
 import cabinpose
 from cabinpose.app.cli import main
-from cabinpose.core import forget_told_cameras, without_numbers
-from cabinpose.estimate import load_model
+from cabinpose.core import FrameBatch, forget_told_cameras, without_numbers
+from cabinpose.estimate import JointPredictor, load_model
 from cabinpose.evaluate import frame_batch
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.store import label_warnings, open_dataset, read_itop_frames
@@ -60,10 +61,16 @@ def heard(said: Said, what: str, act: Callable[[], object]) -> None:
 
 
 def out_of_range(dataset: xr.Dataset) -> np.ndarray:
-    """(F,) whether people are in the image, and fewer than a twentieth of their pixels have a depth, or one that did not wrap."""
+    """(F,) whether people are in the image, and fewer than a tenth of their pixels have a depth that did not wrap: no torso."""
     there, depth, true = dataset["instance"].values > 0, dataset["depth"].values, dataset["depth_clean"].values
     measured = there & (np.abs(depth - true) < 0.1 * true)  # False for NaN
-    return np.asarray(measured.sum(axis=(1, 2)) < 0.05 * there.sum(axis=(1, 2)))
+    return np.asarray(measured.sum(axis=(1, 2)) < 0.1 * there.sum(axis=(1, 2)))
+
+
+def asked(said: Said, what: str, model: JointPredictor, frames: FrameBatch) -> None:
+    """Ask a model, and count what its result says of each frame."""
+    found = model.predict(frames)
+    said.update(f"frames of {what}: {without_numbers(why)}" for why in found.reason if why)
 
 
 def generated(said: Said, sensor: str, scene: str, frames: int, folder: Path) -> int:
@@ -82,7 +89,7 @@ def generated(said: Said, sensor: str, scene: str, frames: int, folder: Path) ->
         if preset.principle == "structured_light" and "amplitude" in found.images:
             continue  # it has none, and the models say so
         batch = frame_batch(seen, slice(0, count), tuple(found.images))
-        heard(said, f"{model}, {what}", partial(found.predict, batch))
+        heard(said, f"{model}, {what}", partial(asked, said, f"{model}, {what}", found, batch))
     return frames - count
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,16 @@ _MOST_CAMERAS = 16  # whose frames are tried turned and scaled
 _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
 
 
+class _Known(NamedTuple):
+    """What does not change from frame to frame of a camera: the share of the view that it fills, whether its lens folds, and what
+    is tried of its frames, or None.
+    """
+
+    filled: float
+    folds: bool
+    tried: Alternatives | None
+
+
 class JointPredictor:
     """A trained model of joints, whatever its file holds; fulfils `core.ports.Predictor`."""
 
@@ -37,7 +48,7 @@ class JointPredictor:
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
         self.trained_on = model.trained_on
         self._warned: set[str] = set()  # of what
-        self._alternatives: dict[Camera, Alternatives] = {}
+        self._known: dict[Camera, _Known] = {}
         self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
 
     @property
@@ -74,34 +85,42 @@ class JointPredictor:
         """
         if not cameras or "depth" not in frames:
             return poses
-        view = self.config.view
-        judged = unseen(seen, [view.filled(camera) for camera in cameras])
+        known = [self._known.get(camera) or self._looked_at(camera) for camera in cameras]
+        judged = unseen(seen, [each.filled for each in known])
         reasons, remarks = ([text for text in texts if text] for texts in zip(*judged, strict=True))
         for remark in remarks[:1]:
             self._warn_once("a covered lens", remark)
-        folded = [depth_doubt(camera, depth) for camera, depth in zip(cameras, frames["depth"][which], strict=True)]
-        for doubt in dict.fromkeys(filter(None, folded)):
-            self._warn_once("a lens that folds", doubt)
-            remarks.append(doubt)
+        if any(each.folds for each in known):
+            folded = [depth_doubt(camera, depth) for camera, depth in zip(cameras, frames["depth"][which], strict=True)]
+            for doubt in dict.fromkeys(filter(None, folded)):
+                self._warn_once("a lens that folds", doubt)
+                remarks.append(doubt)
         for reason in reasons[:1]:
             self._warn_once("nobody", f"a frame in which {self.name} cannot see anybody: {reason}; it has no joints")
-        reason = np.array([why for why, _ in judged], object)
         for name in POSE_ARRAYS if reasons else ():
-            getattr(poses, name)[reason != ""] = 0.0 if name in ("score", "presence") else np.nan
-        remarks += self._changes(poses, frames, which, cameras)
+            getattr(poses, name)[[why != "" for why, _ in judged]] = 0.0 if name in ("score", "presence") else np.nan
+        remarks += self._changes(poses, frames, which, zip(cameras, known, strict=True))
         if not reasons and not remarks:
             return poses
+        reason = np.array([why for why, _ in judged], object)
         return replace(poses, reason=reason, remarks=(*poses.remarks, *dict.fromkeys(remarks)))
 
-    def _changes(self, poses: PoseBatch, frames: FrameBatch, which: slice, cameras: Sequence[Camera]) -> list[str]:
+    def _looked_at(self, camera: Camera) -> _Known:
+        """What is looked up of a camera whose frames come for the first time; of too many, each time."""
+        tried = Alternatives(self.name, usual_errors(self.model.expected_error, self.joints))
+        known = _Known(self.config.view.filled(camera), not math.isinf(camera.monotonic_radius), tried)
+        if len(self._known) == _MOST_CAMERAS:
+            return known._replace(tried=None)
+        self._known[camera] = known
+        return known
+
+    def _changes(self, poses: PoseBatch, frames: FrameBatch, which: slice, cameras: Iterable[tuple[Camera, _Known]]) -> list[str]:
         """What speaks for frames that are turned or scaled, of each camera once; warns of it."""
         told = dict[str, None]()
-        for n, camera in enumerate(cameras):
-            if camera not in self._alternatives:
-                if len(self._alternatives) == _MOST_CAMERAS:
-                    continue
-                self._alternatives[camera] = Alternatives(self.name, usual_errors(self.model.expected_error, self.joints))
-            tried = self._alternatives[camera]
+        for n, (camera, known) in enumerate(cameras):
+            tried = known.tried
+            if tried is None:
+                continue
             if tried.open:
                 ask = partial(self._changed, frames, which.start + n, camera)
                 tried.look(poses.presence[n : n + 1], poses.expected_error_m[n : n + 1], ask)
