@@ -15,14 +15,17 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
+from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from cabinpose.app.studio.scene_bodies import _outermost
 from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, State, camera_of, read_state
 from cabinpose.app.studio.scene_form import Field, form, with_changed_preset
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import is_rigid
 from cabinpose.core.skeleton import CABINPOSE
+from cabinpose.scene import Surface
 from cabinpose.scene.body import DOFS
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import build_cabin
@@ -397,8 +400,9 @@ def test_saved_scene_is_generated_with_the_same_bytes(
     editor.set(("scene", "cars"), [MINE])
     editor.set(("scene", "cars", 0, "w3_mm"), 1650)
     if given:
-        editor.accept(draw(preview, editor))
-        editor.turn_joint("driver", "head.rotation", 0.1 + 0.2)
+        shown = draw(preview, editor)
+        editor.accept(shown)
+        editor.turn_joint(shown, "driver", "head.rotation", 0.1 + 0.2)
         editor.move_camera(draw(preview, editor), target=(0.1, 0.0, 0.9))
     path = editor.save("mine.yaml")
     outcome = run("synth", "--config", path, "--out", editor.folder / "made", "--frames", INDEX + 1, "--seed", SEED)
@@ -533,13 +537,13 @@ def test_own_car_is_offered_shown_and_loaded_anew(room: SceneRoom) -> None:
     assert room.shown.scene.place == "mine"
     triangles = len(room.shown.scene.backdrop.faces)
     assert triangles > 10_000
-    meshes = room.meshes(room.shown)
+    before = room.bodies(room.shown)["cabin"]["shape"]
     car = editor.folder / "mine.yaml"
     car.write_text(car.read_text("utf-8") + "rules: [{pattern: '*', within: [[-0.3, -2, -1], [2, 2, 3]], hide: true}]\n", "utf-8")
     os.utime(car, ns=(1, 1))
     asyncio.run(room.redraw())
     assert len(room.shown.scene.backdrop.faces) < triangles
-    assert room.meshes(room.shown)["cabin"] != meshes["cabin"]
+    assert room.bodies(room.shown)["cabin"]["shape"] != before
 
 
 @pytest.mark.parametrize(
@@ -645,17 +649,101 @@ def test_generation_is_cancelled_and_resumed(tmp_path: Path, run: Callable[..., 
     room.stop()
 
 
-def test_meshes_of_what_has_not_changed_are_the_same(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
-    editor, shown = accepted
+def fetched(room: SceneRoom, url: str) -> bytes:
+    return bytes(room.body(url.rsplit("/", 1)[1]).body)
+
+
+def corners(room: SceneRoom, body: dict[str, Any]) -> NDArray[np.float64]:
+    """The corners (n, 3) of the triangles of a body, read as the page reads them."""
+    shape, points = np.frombuffer(fetched(room, body["shape"]), "<u4"), fetched(room, body["points"])
+    groups = int(shape[0])
+    fine = int(shape[1 : 1 + min(groups, len(body["looks"]))].sum())
+    x, y, z, step = np.frombuffer(points, "<f4", 4).astype(np.float64)
+    count = (len(points) - 16) // 9
+    steps = np.frombuffer(points, "<i2", 3 * count, 16).reshape(-1, 3)
+    return (np.array([x, y, z]) + step * steps)[shape[1 + groups :][:fine]]
+
+
+@pytest.fixture
+def with_things(editor: SceneEditor, preview: Preview) -> tuple[SceneEditor, Shown]:
+    """An accepted scene of three people with a child seat and things in hands."""
+    scene = {
+        "kind": "cabin", "cars": ["suv"], "occupancy": {}, "child_seats": {"rear_left": "infant"}, "in_hand": 1.0,
+        "attachments": {"belt": 1.0},
+        "occupants": {
+            "driver": {"subject": "S03"}, "front_passenger": {"subject": "S05", "action": "phone_text"},
+            "rear_right": {"subject": "S11", "action": "drink"},
+        },
+    }  # fmt: skip
+    editor.set(("scene",), scene)
+    editor.accept(draw(preview, editor))
+    return editor, draw(preview, editor)  # with a cup, as this seed has it
+
+
+def test_everything_that_the_camera_sees_is_drawn(with_things: tuple[SceneEditor, Shown]) -> None:
+    """Triangle by triangle what the generator renders: cabin, people, belts, child seat with its belt, telephone and cup."""
+    _, shown = with_things
     room = SceneRoom(None)
-    first = room.meshes(shown)
-    editor.turn_joint("driver", "head.rotation", 0.2)
-    second = room.meshes(draw(preview, editor))
-    assert {name for name in first if first[name] != second[name]} == {"driver"}
-    for url in second.values():
-        body = room.mesh(url.rsplit("/", 1)[1].removesuffix(".glb")).body
-        assert bytes(body[:4]) == b"glTF"
+    drawn = {name: corners(room, body) for name, body in room.bodies(shown).items()}
+    assert {name.split(":")[0] for name in drawn} == {
+        "cabin", "driver", "front_passenger", "rear_right", "infant", "phone", "cup", "fastenings",
+    }  # fmt: skip
+    rendered = shown.scene.surface()
+    np.testing.assert_allclose(
+        np.sort(np.concatenate(list(drawn.values())), axis=0),
+        np.sort(rendered.vertices[rendered.faces.ravel()], axis=0),
+        atol=1e-4,
+    )
     room.stop()
+
+
+def test_what_has_not_changed_is_not_sent_again(with_things: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    editor, shown = with_things
+    room = SceneRoom(None)
+    first = dict(room.bodies(shown))
+    editor.turn_joint(shown, "rear_right", "head.rotation", 0.2)
+    second = room.bodies(draw(preview, editor))
+    assert {name for name in first if first[name]["points"] != second[name]["points"]} == {"rear_right"}
+    assert {name for name in first if first[name]["shape"] != second[name]["shape"]} == set()
+    assert len(fetched(room, second["rear_right"]["points"])) < 200_000
+    room.stop()
+
+
+def cup_of(shown: Shown) -> NDArray[np.float64]:
+    return next(each for each in shown.scene.things if each.thing.kind == "cup").vehicle_from_thing
+
+
+def test_what_is_held_follows_the_hand(with_things: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    """In the palm's frame the cup stays where it was, however the arm, the hand or the seat is moved."""
+    editor, shown = with_things
+
+    def held(now: Shown) -> NDArray[np.float64]:
+        person = next(each for each in now.scene.people if each.slot == "rear_right")
+        return np.linalg.inv(person.posed.palms[side]) @ cup_of(now)
+
+    person = next(each for each in shown.scene.people if each.slot == "rear_right")
+    away = {each: np.linalg.norm(person.posed.palms[each][:3, 3] - cup_of(shown)[:3, 3]) for each in "lr"}
+    side = min(away, key=away.__getitem__)
+    assert away[side] < 0.15
+    before = held(shown)
+    editor.turn_joint(shown, "rear_right", f"{side}elbow.flexion", 1.2)
+    editor.turn_joint(shown, "rear_right", f"{side}wrist.flexion", 0.1)
+    turned = draw(preview, editor)
+    np.testing.assert_allclose(held(turned), before, atol=1e-6)
+    assert np.linalg.norm(cup_of(turned) - cup_of(shown)) > 0.05
+    editor.set_seat(turned, "rear_right", "fore_aft_m", turned.scene.settings["rear_right"].fore_aft_m)
+    editor.move_hand(turned, "rear_right", side, person.posed.palms[side][:3, 3] + (0.05, 0.0, 0.05))
+    np.testing.assert_allclose(held(draw(preview, editor)), before, atol=1e-6)
+
+
+def test_outermost_of_a_box_is_looked_through_and_what_is_in_it_is_not() -> None:
+    box, inside = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((0.5, 0.5, 0.5))
+    both = trimesh.util.concatenate([box, inside])
+    kinds = np.zeros(len(both.faces), np.uint8)
+    surface = Surface(
+        both.vertices.astype(np.float32), both.vertex_normals.astype(np.float32), both.faces.astype(np.int32), kinds, kinds, kinds
+    )
+    assert _outermost(surface, np.arange(24)).tolist() == [True] * 12 + [False] * 12
 
 
 def test_things_and_actions_of_extensions_are_offered(extension: Callable[..., None]) -> None:

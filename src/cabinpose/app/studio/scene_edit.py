@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from cabinpose.app.studio.scene_form import Path as Key
 from cabinpose.core import CabinposeError, ConfigError, Matrix, SceneError, invert, nearest_rigid, read_yaml, write_whole
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
-from cabinpose.scene.cabin import read_car_file
+from cabinpose.scene.cabin import SeatSetting, read_car_file
 from cabinpose.synth import (
     CabinScene,
     Camera,
@@ -60,21 +60,28 @@ class State:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A scene as it was drawn, with the frame that its camera delivers.
+class Posed:
+    """A scene as it was posed, before its camera has looked at it.
 
-    verdicts: why it does not hold, () where it does · error: why none was found; then scene and frame are those before ·
-    doubts: what speaks against the camera's place · seconds: what that took, by stage.
+    number: tells it from every other · verdicts: why it does not hold, () where it does · error: why none was found; then it is
+    the scene before · depth_m: what the middle of the image shows, as far as it is known · seconds: what that took, by stage.
     """
 
     number: int
     config: SynthConfig
     scene: Scene
-    frame: Frame
     verdicts: tuple[Verdict, ...] = ()
     error: str = ""
-    doubts: tuple[str, ...] = ()
+    depth_m: float = 1.0
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown(Posed):
+    """A scene as it was drawn, with the frame that its camera delivers. doubts: what speaks against the camera's place."""
+
+    frame: Frame
+    doubts: tuple[str, ...] = ()
 
 
 class SceneEditor:
@@ -129,7 +136,7 @@ class SceneEditor:
         """Go to the next frame: another draw of everything that is not given."""
         self._step(dataclasses.replace(self.state, index=self.state.index + 1), ())
 
-    def accept(self, shown: Shown) -> None:
+    def accept(self, shown: Posed) -> None:
         """Keep the scene that is shown as it is: everybody's pose and the camera's. Raises ConfigError for rooms."""
         self._step(dataclasses.replace(self.state, data=without_defaults(exact_scene(shown.config, shown.scene))), ())
 
@@ -139,39 +146,53 @@ class SceneEditor:
         scene = self.config.scene
         return tuple(s for s, o in scene.occupants.items() if o.pose is not None) if isinstance(scene, CabinScene) else ()
 
-    def turn_joint(self, slot: str, axis: str, angle: float) -> None:
-        """Set a joint axis of somebody who has a whole pose, rad (grips: 0..1)."""
-        self.set(("scene", "occupants", slot, "pose", "angles_rad", axis), angle)
+    def turn_joint(self, shown: Posed, slot: str, axis: str, angle: float) -> None:
+        """Set a joint axis of somebody who has a whole pose, rad (grips: 0..1). What a hand holds follows it."""
+        self._repose(shown, slot, ("scene", "occupants", slot, "pose", "angles_rad", axis), {axis: angle})
 
-    def move_hand(self, shown: Shown, slot: str, side: str, place: Sequence[float]) -> float:
+    def move_hand(self, shown: Posed, slot: str, side: str, place: Sequence[float]) -> float:
         """Bring a palm as near to `place` (vehicle frame, m) as arm and trunk allow; by how much it misses it, m."""
         person, q, root = _posed(shown, slot)
         solved = hand_to(person, q, root, "lr".index(side), np.asarray(place, np.float64))
-        data = copy.deepcopy(self.state.data)
-        angles = data["scene"]["occupants"][slot]["pose"]["angles_rad"]
-        for dof, value in zip(DOFS, solved.tolist(), strict=True):
-            if value != q[DOF_INDEX[dof.name]]:
-                angles[dof.name] = value
-        self._step(dataclasses.replace(self.state, data=data), ())
+        changed = {dof.name: float(value) for dof, value, old in zip(DOFS, solved, q, strict=True) if value != old}
+        self._repose(shown, slot, (), changed)
         return float(np.linalg.norm(person.pose(solved, root).palms[side][:3, 3] - place))
 
-    def set_seat(self, shown: Shown, slot: str, name: str, value: float) -> None:
+    def set_seat(self, shown: Posed, slot: str, name: str, value: float) -> None:
         """Set a seat whose person has a whole pose; who sits in it goes along.
 
         name: fore_aft_m, height_m or torso_angle_rad. Of the angle only the pelvis, with all it carries, follows.
         """
         assert shown.scene.cabin is not None
-        seat, old = shown.scene.cabin.seats[slot], shown.scene.settings[slot]
+        seat, pose = shown.scene.cabin.seats[slot], self.state.data["scene"]["occupants"][slot]["pose"]
+        old = SeatSetting(*(float(pose[key]) for key in ("fore_aft_m", "height_m", "torso_angle_rad")))
         new = dataclasses.replace(old, **{name.replace("_rad", ""): value})
         seat.check(new)
+        root = seat.vehicle_from_back(new) @ invert(seat.vehicle_from_back(old)) @ np.array(pose["vehicle_from_root"])
+        rows = [row.tolist() for row in nearest_rigid(root)]
+        self._repose(shown, slot, ("scene", "occupants", slot, "pose", name), {}, {name: value, "vehicle_from_root": rows})
+
+    def _repose(
+        self, shown: Posed, slot: str, key: Key, angles: Mapping[str, float], others: Mapping[str, Any] | None = None
+    ) -> None:
+        """Change somebody's whole pose; what the hands hold and the lap carries goes along."""
         data = copy.deepcopy(self.state.data)
         pose = data["scene"]["occupants"][slot]["pose"]
-        root = seat.vehicle_from_back(new) @ invert(seat.vehicle_from_back(old)) @ np.array(pose["vehicle_from_root"])
-        pose[name], pose["vehicle_from_root"] = value, [row.tolist() for row in nearest_rigid(root)]
-        self._step(dataclasses.replace(self.state, data=data), ("scene", "occupants", slot, "pose", name))
+        carried = [thing for thing in data["scene"].get("things") or () if thing["slot"] == slot and thing["where"] != "seat"]
+        person = _posed(shown, slot)[0]
+        before = _frames(person, pose)
+        pose["angles_rad"] = {**pose["angles_rad"], **angles}
+        pose |= others or {}
+        after = _frames(person, pose)
+        for thing in carried:
+            held, by = np.array(thing["vehicle_from_thing"]), "lap"
+            if thing["where"] == "hand":
+                by = min("lr", key=lambda side: float(np.linalg.norm(before[side][:3, 3] - held[:3, 3])))
+            thing["vehicle_from_thing"] = [row.tolist() for row in nearest_rigid(after[by] @ invert(before[by]) @ held)]
+        self._step(dataclasses.replace(self.state, data=data), key)
 
     def move_camera(
-        self, shown: Shown, *, position: Sequence[float] | None = None, target: Sequence[float] | None = None
+        self, shown: Posed, *, position: Sequence[float] | None = None, target: Sequence[float] | None = None
     ) -> None:
         """Move the camera, or what it looks at (vehicle frame, m). It is the only view then, without jitter."""
         eye, looked_at, roll = camera_of(shown)
@@ -241,7 +262,7 @@ class SceneEditor:
             at = at.get(part) if isinstance(at, dict) else None
         return {} if at is None else at
 
-    def starts(self, shown: Shown | None) -> dict[str, Any]:
+    def starts(self, shown: Posed | None) -> dict[str, Any]:
         """What the fields' models start from where somebody chooses them, see `scene_form.form`."""
         own = Camera(sensor=self.config.camera.sensor_model)
         result: dict[str, Any] = {"Sensor": own.model_dump(mode="json")["sensor"]}
@@ -328,24 +349,42 @@ class Preview:
         self._sampler: SceneSampler | None = None
         self._written: dict[Path, int] = {}
         self.shown: Shown | None = None
-        self._number = 0
+        self._number, self._noise = 0, (0, 0)
 
-    def draw(self, config: SynthConfig, seed: int, index: int) -> Shown:
-        """What a configuration looks like. Raises CabinposeError where there is nothing to show."""
+    def pose(self, config: SynthConfig, seed: int, index: int) -> Posed:
+        """Where everything is in a scene, before its camera looks at it. Raises CabinposeError where there is nothing to show."""
         started = time.perf_counter()
         with threadpool_limits(1):  # as in `synth`: the bytes may depend on the libraries' number of threads
             written = {car: car.stat().st_mtime_ns for car in own_cars(config) if car.exists()}  # one that changed is loaded anew
             sampler = SceneSampler(config, seed, like=self._sampler if self._written == written else None)
             self._written = written
-            self._sampler = sampler
+            self._sampler, self._noise = sampler, (seed, index)
             scene, verdicts, error = self._scene(sampler, config, seed, index)
-            posed = time.perf_counter()
-            frame = FrameMaker(config, seed, sampler, pictures=False).see(scene, rng=noise_rng(seed, index))
-            doubts = _place_doubts(config, scene)
-        seconds = {"pose": posed - started, "see": time.perf_counter() - posed}
         self._number += 1
-        self.shown = Shown(self._number, config, scene, frame, verdicts, error, doubts, seconds)
+        before = self.shown
+        same = before is not None and np.array_equal(before.scene.world_from_camera, scene.world_from_camera)
+        depth = before.depth_m if before is not None and same else 1.0
+        return Posed(self._number, config, scene, verdicts, error, depth, {"pose": time.perf_counter() - started})
+
+    def see(self, posed: Posed) -> Shown:
+        """The scene that was posed last, with what its camera delivers."""
+        started = time.perf_counter()
+        assert self._sampler is not None
+        with threadpool_limits(1):
+            maker = FrameMaker(posed.config, self._noise[0], self._sampler, pictures=False)
+            frame = maker.see(posed.scene, rng=noise_rng(*self._noise))
+            doubts = _place_doubts(posed.config, posed.scene)
+        depth = frame["depth_clean"]
+        middle = float(depth[depth.shape[0] // 2, depth.shape[1] // 2])
+        told = {each.name: getattr(posed, each.name) for each in dataclasses.fields(posed)}
+        told["depth_m"] = middle if 0.3 < middle < 3.0 else 1.0
+        told["seconds"] = {**posed.seconds, "see": time.perf_counter() - started}
+        self.shown = Shown(**told, frame=frame, doubts=doubts)
         return self.shown
+
+    def draw(self, config: SynthConfig, seed: int, index: int) -> Shown:
+        """What a configuration looks like, at once. Raises CabinposeError where there is nothing to show."""
+        return self.see(self.pose(config, seed, index))
 
     def _scene(self, sampler: SceneSampler, config: SynthConfig, seed: int, index: int) -> tuple[Scene, tuple[Verdict, ...], str]:
         scene = config.scene
@@ -382,16 +421,14 @@ def own_cars(config: SynthConfig) -> list[Path]:
     return [Path(car) for car in cars if isinstance(car, str) and is_car_file(car)]
 
 
-def camera_of(shown: Shown) -> tuple[list[float], list[float], float]:
+def camera_of(shown: Posed) -> tuple[list[float], list[float], float]:
     """Where the camera is, a point before it that it looks at (m), and its roll (deg)."""
     own = shown.config.camera.views.get(shown.scene.pov)
     if isinstance(own, CameraPose):
         return list(own.position_m), list(own.look_at_m), own.roll_deg
     camera = shown.scene.world_from_camera
     eye, forward, right = camera[:3, 3], camera[:3, 2], camera[:3, 0]
-    depth = shown.frame["depth_clean"]
-    middle = depth[depth.shape[0] // 2, depth.shape[1] // 2]
-    target = eye + forward * (float(middle) if np.isfinite(middle) and 0.3 < middle < 3.0 else 1.0)
+    target = eye + forward * shown.depth_m
     level = np.cross(forward, (0.0, 0.0, 1.0))
     roll = 0.0
     if np.linalg.norm(level) > 1e-3:
@@ -400,9 +437,18 @@ def camera_of(shown: Shown) -> tuple[list[float], list[float], float]:
     return eye.round(_ROUND_M).tolist(), target.round(_ROUND_M).tolist(), round(roll, 2) + 0.0
 
 
-def _posed(shown: Shown, slot: str) -> tuple[Person, NDArray[np.float64], Matrix]:
+def _posed(shown: Posed, slot: str) -> tuple[Person, NDArray[np.float64], Matrix]:
     who = next(person for person in shown.scene.people if person.slot == slot)
     return who.person, who.posed.q, who.posed.vehicle_from_root
+
+
+def _frames(person: Person, pose: Mapping[str, Any]) -> dict[str, Matrix]:
+    """Where a whole pose, as plain data, has the palms ("l", "r") and the pelvis ("lap"), in the vehicle's frame."""
+    q = np.zeros(len(DOFS))
+    for axis, angle in pose["angles_rad"].items():
+        q[DOF_INDEX[axis]] = angle
+    root = np.array(pose["vehicle_from_root"], np.float64)
+    return {**person.pose(q, root).palms, "lap": root}
 
 
 def _files(data: Mapping[str, Any]) -> Iterator[tuple[Key, str]]:

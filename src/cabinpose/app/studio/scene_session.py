@@ -8,22 +8,23 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from fastapi import APIRouter, HTTPException, Response
 
 from cabinpose.app.studio.clouds import cloud_glb
 from cabinpose.app.studio.pictures import CLASSES, IMAGES, picture
-from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, own_cars, read_state
-from cabinpose.app.studio.scene_meshes import cabin_glb, person_glb
+from cabinpose.app.studio.scene_bodies import FINE_WITHIN_M, bodies
+from cabinpose.app.studio.scene_edit import Posed, Preview, SceneEditor, Shown, own_cars, read_state
 from cabinpose.app.view.draw import cloud_colours
-from cabinpose.core import OCCUPANT_SLOTS, CabinposeError, ConfigError, MeshError, apply
+from cabinpose.core import CabinposeError, ConfigError, MeshError, apply
 from cabinpose.synth import Progress, SynthConfig, generate
 
 _RECENT = 8  # scenes kept for browsers that have been told of them and come for their images
-_MESHES = 40
+_KEPT = 120  # shapes and places of bodies, for the same reason
+_SETTLED_S = 0.03  # without another change before the camera looks: a slider that is dragged moves people meanwhile
 KEEP = "private, max-age=3600"
 
 
@@ -90,15 +91,21 @@ class SceneRoom:
         self._wanted = self._drawn = 0
         self._drawing = False
         self._recent: OrderedDict[int, Shown] = OrderedDict()
-        self._meshes: OrderedDict[str, Callable[[], bytes]] = OrderedDict()
+        self.posed: Posed | None = None
+        self._of: Posed | None = None
+        self._bodies: dict[str, dict[str, Any]] = {}
+        self._made: OrderedDict[str, Callable[[], bytes]] = OrderedDict()
 
     @property
     def shown(self) -> Shown | None:
-        """What was drawn last."""
+        """What was drawn last, images and all."""
         return next(reversed(self._recent.values()), None)
 
     async def redraw(self) -> None:
-        """Draw what is edited now, and tell the listeners; of changes that come meanwhile only the last is drawn."""
+        """Draw what is edited now: first where everything is, then what the camera sees of it; the listeners are told of both.
+
+        Of changes that come meanwhile only the last is drawn, and images are made of that one alone.
+        """
         self._wanted += 1
         if self._drawing:
             return
@@ -106,47 +113,58 @@ class SceneRoom:
         try:
             while self._drawn != self._wanted:
                 self._drawn = self._wanted
-                config, state = self.editor.config, self.editor.state
-                draw = partial(self._preview.draw, config, state.seed, state.index)
-                try:
-                    shown = await asyncio.get_running_loop().run_in_executor(self._worker, draw)
-                    self.error = shown.error
-                    self._recent[shown.number] = shown
-                    while len(self._recent) > _RECENT:
-                        self._recent.popitem(last=False)
-                except CabinposeError as error:
-                    self.error = error.in_one_line()
-                    of_car = isinstance(error, (ConfigError, MeshError)) and own_cars(config)
-                    if of_car and self.editor.config is config:
-                        self.editor.errors.setdefault(("scene", "cars"), self.error)
-                        self.error = ""
-                except Exception as error:  # noqa: BLE001 - the studio goes on with the scene before
-                    self.error = f"the scene cannot be drawn: {error!r}"
-                for told in tuple(self.listeners):
-                    told()
+                await self._draw(self.editor.config)
         finally:
             self._drawing = False
 
-    def meshes(self, shown: Shown) -> dict[str, str]:
-        """URLs of the cabin and the people by seat; the same for the same shape."""
-        scene = shown.scene
-        result = {"cabin": self._mesh(scene.backdrop.vertices.tobytes(), lambda: cabin_glb(scene.backdrop))}
-        for person in scene.people:
-            slot = OCCUPANT_SLOTS.index(person.slot) if person.slot in OCCUPANT_SLOTS else 0
-            shape = b"".join(surface.vertices.tobytes() + surface.material.tobytes() for surface in person.surfaces)
-            result[person.slot] = self._mesh(
-                shape + bytes([slot]),
-                lambda surfaces=person.surfaces, slot=slot: person_glb(surfaces, slot),  # type: ignore[misc]
-            )
-        return result
+    async def _draw(self, config: SynthConfig) -> None:
+        state, loop = self.editor.state, asyncio.get_running_loop()
+        try:
+            posed = await loop.run_in_executor(self._worker, self._preview.pose, config, state.seed, state.index)
+            self.error, self.posed = posed.error, posed
+            self._tell()
+            await asyncio.sleep(_SETTLED_S)
+            if self._drawn != self._wanted:
+                return
+            shown = await loop.run_in_executor(self._worker, self._preview.see, posed)
+            self._recent[shown.number] = self.posed = shown
+            while len(self._recent) > _RECENT:
+                self._recent.popitem(last=False)
+        except CabinposeError as error:
+            self.error = error.in_one_line()
+            of_car = isinstance(error, (ConfigError, MeshError)) and own_cars(config)
+            if of_car and self.editor.config is config:
+                self.editor.errors.setdefault(("scene", "cars"), self.error)
+                self.error = ""
+        except Exception as error:  # noqa: BLE001 - the studio goes on with the scene before
+            self.error = f"the scene cannot be drawn: {error!r}"
+        self._tell()
 
-    def _mesh(self, shape: bytes, make: Callable[[], bytes]) -> str:
-        name = hashlib.blake2b(shape, digest_size=12).hexdigest()
-        self._meshes[name] = make
-        self._meshes.move_to_end(name)
-        while len(self._meshes) > _MESHES:
-            self._meshes.popitem(last=False)
-        return f"/scene/meshes/{name}.glb"
+    def _tell(self) -> None:
+        for told in tuple(self.listeners):
+            told()
+
+    def bodies(self, posed: Posed) -> dict[str, dict[str, Any]]:
+        """What is drawn of a scene, by name: addresses of shape and points, the same for what is the same, and looks."""
+        if posed is not self._of:
+            self._of, self._bodies = posed, {}
+            for name, body in bodies(posed.scene).items():
+                of_shape = body.surface.faces.tobytes() + body.kinds.tobytes() + bytes([body.cabin])
+                self._bodies[name] = {
+                    "shape": self._kept(of_shape, lambda body=body: body.shape),  # type: ignore[misc]
+                    "points": self._kept(body.surface.vertices.tobytes(), lambda body=body: body.points),  # type: ignore[misc]
+                    "looks": [list(look) for look in body.looks],
+                    "far": FINE_WITHIN_M,
+                }
+        return self._bodies
+
+    def _kept(self, of: bytes, make: Callable[[], bytes]) -> str:
+        name = hashlib.blake2b(of, digest_size=12).hexdigest()
+        self._made[name] = make
+        self._made.move_to_end(name)
+        while len(self._made) > _KEPT:
+            self._made.popitem(last=False)
+        return f"/scene/bodies/{name}"
 
     def generate(self, name: str, frames: int, *, resume: bool = False) -> None:
         """Begin to make a dataset in a folder beside the scene. Raises ConfigError for a name that leads elsewhere."""
@@ -174,12 +192,12 @@ class SceneRoom:
             raise HTTPException(404, "there is no such image")
         return picture(name, shown.frame[name]).response(keep=False)
 
-    def mesh(self, name: str) -> Response:
-        """A cabin or a person."""
-        make = self._meshes.get(name)
+    def body(self, name: str) -> Response:
+        """A shape of a cabin, a person or a thing, or where its points are."""
+        make = self._made.get(name)
         if make is None:
-            raise HTTPException(404, "there is no such mesh")
-        return Response(make(), media_type="model/gltf-binary", headers={"cache-control": KEEP})
+            raise HTTPException(404, "there is no such body")
+        return Response(make(), media_type="application/octet-stream", headers={"cache-control": KEEP})
 
 
 class OpenedScene:
@@ -196,7 +214,7 @@ class OpenedScene:
         return self._room
 
     def routes(self) -> APIRouter:
-        """`/scene/meshes/{name}.glb`, `/scene/{number}/{image}` of the scene that is open."""
+        """`/scene/bodies/{name}`, `/scene/{number}/{image}` of the scene that is open."""
         router = APIRouter()
 
         def opened() -> SceneRoom:
@@ -204,9 +222,9 @@ class OpenedScene:
                 raise HTTPException(404, "no scene is open")
             return self._room
 
-        @router.get("/scene/meshes/{name}.glb")
-        def mesh(name: str) -> Response:
-            return opened().mesh(name)
+        @router.get("/scene/bodies/{name}")
+        async def body(name: str) -> Response:
+            return opened().body(name)
 
         @router.get("/scene/{number}/{name}")
         async def image(number: int, name: str) -> Response:

@@ -11,11 +11,11 @@ import numpy as np
 from nicegui import ui
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
-from cabinpose.app.studio.scene_edit import Shown, camera_of
+from cabinpose.app.studio.scene_edit import Posed, Shown, camera_of
 from cabinpose.app.studio.scene_fields import SceneFields
 from cabinpose.app.studio.scene_session import OpenedScene, SceneRoom
 from cabinpose.app.studio.tab import Page, Tab, empty_state
-from cabinpose.app.studio.view3d import view_3d
+from cabinpose.app.studio.view3d import VIEW_KEYS, Marks, SceneBodies, view_3d
 from cabinpose.core import CabinposeError
 from cabinpose.scene import RGB
 from cabinpose.scene.body import DOFS
@@ -24,6 +24,10 @@ from cabinpose.synth import Verdict, dof_scale, limits_deg
 _LABELS = [[RGB.get(i, 0) >> 16 & 255, RGB.get(i, 0) >> 8 & 255, RGB.get(i, 0) & 255] for i in range(256)]
 _FADE_S = 0.5  # that an old shape stays until the browser has the new one
 _LOOK_S = 0.4
+_STYLE = """
+.studio-images { transition: opacity .1s; } .studio-images.studio-stale { opacity: .35; transition: opacity .15s .2s; }
+.studio-dimension { color: #fff; background: #000b; padding: 1px 6px; border-radius: 4px; font: 13px system-ui, sans-serif; }
+"""
 _BUTTON = "dense no-caps outline size=sm"
 
 
@@ -32,12 +36,13 @@ class SceneTab:
 
     def __init__(self, room: SceneRoom) -> None:
         self._room, self._editor = room, room.editor
-        self._meshes: dict[str, tuple[str, Any]] = {}
-        self._handles: list[Any] = []
+        self._cloud: tuple[str, Any] = ("", None)
+        self._handles: dict[str, Any] = {}
         self._state = self._editor.state
-        self._drawn: Shown | None = None
+        self._seen: Posed | None = None
         self._coming: set[str] = set()  # images that the browser does not have yet
         self._looked = False
+        ui.add_css(_STYLE)
         with ui.row().classes("studio-tab no-wrap w-full"):
             side = ui.column().classes("studio-side no-wrap").style("width: 330px; min-width: 330px; overflow: hidden")
             with side.style("height: 100%"):
@@ -47,7 +52,7 @@ class SceneTab:
         room.listeners.append(self._refresh)
         ui.context.client.on_delete(lambda: room.listeners.remove(self._refresh))
         ui.timer(_LOOK_S, self._look_at_generation)
-        if room.shown is not None:
+        if room.posed is not None:
             self._refresh()
         else:
             ui.timer(0.01, room.redraw, once=True)
@@ -90,7 +95,7 @@ class SceneTab:
         panels = ui.tab_panels(bar, value="Keys", keep_alive=True).classes("w-full")
         with panels.style("flex: 1; min-height: 0; background: none"):
             with ui.tab_panel("Keys").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
-                self._fields = SceneFields(editor, lambda: editor.starts(self._room.shown), self._changed_by_field)
+                self._fields = SceneFields(editor, lambda: editor.starts(self._room.posed), self._changed_by_field)
             with ui.tab_panel("People").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
                 self._people = ui.column().classes("w-full").style("gap: 2px")
         self._build_people()
@@ -99,11 +104,16 @@ class SceneTab:
         with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
             with ui.element("div").classes("studio-pane").style("flex: 1.7; position: relative"):
                 self._scene = view_3d(on_drag_end=self._dragged)
+                with self._scene:
+                    self._bodies = SceneBodies()
                 with ui.row().style("position: absolute; top: 6px; left: 8px; gap: 10px; color: #ccc; font-size: 12px"):
-                    self._show_cabin = ui.checkbox("cabin", value=True, on_change=self._refresh).props("dense dark size=xs")
-                    self._show_cloud = ui.checkbox("cloud", value=False, on_change=self._refresh).props("dense dark size=xs")
-                    self._show_handles = ui.checkbox("handles", value=True, on_change=self._refresh).props("dense dark size=xs")
-            with ui.column().classes("no-wrap").style("flex: 1; min-width: 0; gap: 8px; height: 100%"):
+                    self._show_cabin = ui.checkbox("cabin", value=True, on_change=self._show_bodies).props("dense dark size=xs")
+                    self._show_cloud = ui.checkbox("cloud", value=False, on_change=self._show_bodies).props("dense dark size=xs")
+                    self._handles_box = ui.checkbox("handles", value=True, on_change=self._show_bodies).props(
+                        "dense dark size=xs"
+                    )
+            self._images = ui.column().classes("no-wrap studio-images").style("flex: 1; min-width: 0; gap: 8px; height: 100%")
+            with self._images:
                 self._canvases = {}
                 for name in ("depth", "amplitude", "labels"):
                     with ui.element("div").classes("studio-pane w-full").style("position: relative"):
@@ -118,7 +128,7 @@ class SceneTab:
     def _build_people(self) -> None:
         """Sliders for the seats and joint axes of people who have a whole pose."""
         self._people.clear()
-        given = self._editor.given if self._room.shown is not None else ()
+        given = self._editor.given if self._room.posed is not None else ()
         with self._people:
             if not given:
                 ui.label("Accept a scene: then every joint axis of its people is a slider here, and their hands can be dragged.")
@@ -129,7 +139,7 @@ class SceneTab:
                 group.on_value_change(lambda _, slot=slot, inside=inside: self._fill_person(slot, inside))
 
     def _fill_person(self, slot: str, inside: ui.column) -> None:
-        shown, scene = self._room.shown, self._editor.config.scene
+        shown, scene = self._room.posed, self._editor.config.scene
         if inside.default_slot.children or shown is None or scene.kind != "cabin" or shown.scene.cabin is None:
             return
         pose = scene.occupants[slot].pose
@@ -173,13 +183,17 @@ class SceneTab:
 
     def _seat_setter(self, slot: str, key: str, scale: float) -> Callable[[float], None]:
         def put(value: float) -> None:
-            if self._room.shown is not None:
-                self._editor.set_seat(self._room.shown, slot, key, value * scale)
+            if self._room.posed is not None:
+                self._editor.set_seat(self._room.posed, slot, key, value * scale)
 
         return put
 
     def _joint_setter(self, slot: str, axis: str) -> Callable[[float], None]:
-        return lambda value: self._editor.turn_joint(slot, axis, value * dof_scale(axis))
+        def put(value: float) -> None:
+            if self._room.posed is not None:
+                self._editor.turn_joint(self._room.posed, slot, axis, value * dof_scale(axis))
+
+        return put
 
     # ------------------------------------------------------------------------------------------------ what is asked for
 
@@ -199,8 +213,8 @@ class SceneTab:
         await self._room.redraw()
 
     def _accept(self) -> None:
-        if self._room.shown is not None:
-            self._editor.accept(self._room.shown)
+        if self._room.posed is not None:
+            self._editor.accept(self._room.posed)
 
     async def _frame_changed(self) -> None:
         seed, index = int(self._seed.value or 0), int(self._index.value or 0)
@@ -208,7 +222,7 @@ class SceneTab:
             await self._do(lambda: self._editor.look_at(seed, index), rebuild=False)
 
     async def _dragged(self, event: Any) -> None:
-        shown, place = self._room.shown, (event.x, event.y, event.z)
+        shown, place = self._room.posed, (event.x, event.y, event.z)
         kind, _, rest = str(event.object_name).partition(":")
         if shown is None:
             return
@@ -298,40 +312,58 @@ class SceneTab:
     # -------------------------------------------------------------------------------------------------------- showing
 
     def _refresh(self) -> None:
-        """Show what was drawn last, and the form where somebody else changed what it shows."""
-        room, editor, shown = self._room, self._editor, self._room.shown
-        if editor.state is not self._state or (shown is not None and self._drawn is None):
+        """Show what was posed or drawn last, and the form where somebody else changed what it shows."""
+        room, editor, posed = self._room, self._editor, self._room.posed
+        if editor.state is not self._state or (posed is not None and self._seen is None):
             self._state = editor.state
             self._fields.rebuild()
             self._build_people()
         self._seed.value, self._index.value = editor.state.seed, editor.state.index
         wrong = [f"{'.'.join(map(str, key)) or 'configuration'}: {words}" for key, words in editor.errors.items()]
-        self._tell(shown, wrong + ([room.error] if room.error else []))
+        self._tell(posed, wrong + ([room.error] if room.error else []))
         self._fields.show_errors()
-        if shown is None:
+        if posed is None:
             return
-        if shown is not self._drawn:
-            self._drawn = shown
-            self._show_images(shown)
-        if not self._coming:
-            self._show_view(shown)
+        if posed is not self._seen:
+            self._seen = posed
+            self._show_bodies()
+            if isinstance(posed, Shown):
+                self._show_images(posed)
+            else:
+                self._images.classes(add="studio-stale")
 
     def _image_is_there(self, name: str) -> None:
-        """Show the 3D view after the images: both at once would take the time from each other."""
+        """Images that belong to what the 3D view shows are bright."""
         self._coming.discard(name)
-        if not self._coming and self._drawn is not None:
-            self._show_view(self._drawn)
+        if not self._coming and isinstance(self._seen, Shown):
+            self._images.classes(remove="studio-stale")
 
-    def _show_view(self, shown: Shown) -> None:
-        self._show_meshes(shown)
-        self._show_marks(shown)
+    def _show_bodies(self) -> None:
+        """Cabin, people and things with marks, all at once; and the cloud, which comes with the images."""
+        posed, shown = self._seen, self._room.shown
+        if posed is None:
+            return
+        bodies = dict(self._room.bodies(posed))
+        if not self._show_cabin.value:
+            del bodies["cabin"]
+        self._bodies.show(posed.number, bodies, self._marks(posed))
+        self._show_handles(posed)
+        cloud = f"/scene/{shown.number}/cloud.glb" if shown is not None and self._show_cloud.value else ""
+        if cloud != self._cloud[0]:
+            old, self._cloud = self._cloud[1], (cloud, None)
+            if cloud:
+                with self._scene:
+                    self._cloud = cloud, self._scene.gltf(cloud)
+            if old is not None:
+                with self._verdict:
+                    ui.timer(_FADE_S, old.delete, once=True)
         if not self._looked:
             self._looked = True
-            self._look(shown)
+            self._look(posed)
 
-    def _tell(self, shown: Shown | None, wrong: list[str]) -> None:
+    def _tell(self, shown: Posed | None, wrong: list[str]) -> None:
         collisions = [_words(verdict) for verdict in shown.verdicts] if shown is not None else []
-        doubts = [f"camera: {'; '.join(shown.doubts)}"] if shown is not None and shown.doubts else []
+        doubts = [f"camera: {'; '.join(shown.doubts)}"] if isinstance(shown, Shown) and shown.doubts else []
         self._verdict.text = "; ".join((*wrong, *collisions, *doubts)) or "holds: nothing collides"
         self._verdict.style(f"color: {'#d33' if wrong or collisions else '#c77700' if doubts else '#2a9d5c'}")
         if shown is not None:
@@ -350,56 +382,39 @@ class SceneTab:
         self._canvases["amplitude"].show(url + "amplitude", near=0.0, far=white, palette=GREY)
         self._canvases["labels"].show(url + "labels", near=0.0, far=255.0, palette=_LABELS)
 
-    def _show_meshes(self, shown: Shown) -> None:
-        """Cabin, people and cloud; what has not changed stays."""
-        wanted = self._room.meshes(shown)
-        if not self._show_cabin.value:
-            del wanted["cabin"]
-        if self._show_cloud.value:
-            wanted["cloud"] = f"/scene/{shown.number}/cloud.glb"
-        old = []
-        for name, (url, shape) in tuple(self._meshes.items()):
-            if wanted.get(name) != url:
-                old.append(shape)
-                del self._meshes[name]
-        for name, url in wanted.items():
-            if name not in self._meshes:
-                with self._scene:
-                    self._meshes[name] = url, self._scene.gltf(url)
-        if old:
-            with self._verdict:
-                ui.timer(_FADE_S, lambda: [shape.delete() for shape in old], once=True)
+    def _marks(self, posed: Posed) -> Marks:
+        """The camera's field of view, and where something collides."""
+        eye, target, _ = camera_of(posed)
+        lines = [("#ff70d0", eye, corner) for corner in _corners(posed)]
+        if self._handles_box.value:
+            lines.append(("#ffd166", eye, target))
+        balls = [("#ff2020", 0.06, v.where.tolist()) for v in posed.verdicts if v.where is not None]
+        return Marks(lines, balls)
 
-    def _show_marks(self, shown: Shown) -> None:
-        """The camera with its field of view, the hands that can be dragged, and where something collides."""
-        for handle in self._handles:
-            handle.delete()
-        self._handles = []
-        sphere, line = self._scene.sphere, self._scene.line
-        with self._scene:
-            for verdict in shown.verdicts:
-                if verdict.where is not None:
-                    self._handles.append(sphere(0.06).move(*verdict.where.tolist()).material("#ff2020", 0.6))
-            eye, target, _ = camera_of(shown)
-            for corner in _corners(shown):
-                self._handles.append(line(eye, corner).material("#ff70d0"))
-            if not self._show_handles.value:
-                return
-            movable = shown.scene.cabin is not None
-            self._handles.append(line(eye, target).material("#ffd166"))
-            for name, place, colour in (("camera", eye, "#ff70d0"), ("target", target, "#ffd166")):
-                handle = sphere(0.045).move(*place).material(colour).with_name(name)
-                self._handles.append(handle.draggable() if movable else handle)
-            for person in shown.scene.people:
+    def _show_handles(self, posed: Posed) -> None:
+        """What can be dragged: the camera, what it looks at, and hands of whole poses."""
+        wanted: dict[str, tuple[list[float], float, str]] = {}
+        if self._handles_box.value:
+            eye, target, _ = camera_of(posed)
+            wanted |= {"camera": (eye, 0.045, "#ff70d0"), "target": (target, 0.045, "#ffd166")}
+            for person in posed.scene.people:
                 for side in ("l", "r") if person.slot in self._editor.given else ():
-                    handle = sphere(0.055).move(*person.posed.palms[side][:3, 3].tolist()).material("#80ed99", 0.6)
-                    self._handles.append(handle.with_name(f"hand:{person.slot}:{side}").draggable())
+                    place = person.posed.palms[side][:3, 3].tolist()
+                    wanted[f"hand:{person.slot}:{side}"] = place, 0.055, "#80ed99"
+        for name in self._handles.keys() - wanted.keys():
+            self._handles.pop(name).delete()
+        for name, (place, radius, colour) in wanted.items():
+            if name not in self._handles:
+                with self._scene:
+                    handle = self._scene.sphere(radius).material(colour, 0.6 if name.startswith("hand") else 1.0).with_name(name)
+                self._handles[name] = handle.draggable() if posed.scene.cabin is not None else handle
+            self._handles[name].move(*place)
 
-    def _look(self, shown: Shown) -> None:
+    def _look(self, shown: Posed) -> None:
         """Look into the scene from its front, above the camera."""
         people = [person.posed.joints.mean(axis=0) for person in shown.scene.people]
         target = np.mean(people, axis=0) if people else shown.scene.backdrop.vertices.mean(axis=0)
-        (x, y, z), (look_x, look_y, look_z) = (target + (1.5, -1.3, 0.9)).tolist(), target.tolist()
+        (x, y, z), (look_x, look_y, look_z) = (target + (1.1, -1.4, 1.15)).tolist(), target.tolist()
         self._scene.move_camera(x, y, z, look_x, look_y, look_z, 0, 0, 1, duration=0)
 
 
@@ -409,7 +424,7 @@ def _words(verdict: Verdict) -> str:
     return f"{verdict.rejection}{depth}{where}"
 
 
-def _corners(shown: Shown) -> list[list[float]]:
+def _corners(shown: Posed) -> list[list[float]]:
     """The ends of lines along the corners of the camera's image, 0.5 m long."""
     camera, pose = shown.config.camera.sensor_model.camera, shown.scene.world_from_camera
     uv = np.array([(0, 0), (camera.width - 1, 0), (0, camera.height - 1), (camera.width - 1, camera.height - 1)], np.float64)
@@ -446,4 +461,4 @@ def _open(scene: OpenedScene) -> None:
     SceneTab(room)
 
 
-TAB = Tab("Scene", _build, shared=lambda workspace: OpenedScene(workspace.scene))
+TAB = Tab("Scene", _build, VIEW_KEYS, shared=lambda workspace: OpenedScene(workspace.scene))

@@ -1,13 +1,13 @@
-"""The 3D view of a tab, drawn only where something in it changed."""
+"""The 3D view of a tab, drawn only where something in it changed, turned by mouse and keys; and the bodies of a scene in it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from nicegui import ui
-from nicegui.elements.scene.scene_object3d import Object3D
+from nicegui.elements.scene import Object3D
 from numpy.typing import NDArray
 
 # NiceGUI draws twenty times a second, also what nobody sees. Without a GPU that takes a whole core, and with it the time that
@@ -31,12 +31,49 @@ _ON_CHANGE = """() => {
     last = key;
     render(scene, camera);
   };
+  const turned = Math.PI / 24, nearer = 1.1, up = view.camera.up.clone();
+  view.$el.tabIndex = 0;
+  view.$el.addEventListener("keydown", (event) => {
+    const { camera, controls } = view, target = controls.target, arm = camera.position.clone().sub(target);
+    const side = arm.clone().cross(up).normalize(), height = arm.angleTo(up);
+    const turn = (by) => arm.applyAxisAngle(up, by);
+    const tilt = (by) => arm.applyAxisAngle(side, Math.min(Math.max(by, 0.05 - (Math.PI - height)), height - 0.05));
+    const move = (x, y) => target.addScaledVector(side, -x).addScaledVector(up, y);
+    const moves = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }; // m
+    const keys = {
+      ArrowLeft: () => turn(-turned), ArrowRight: () => turn(turned), ArrowUp: () => tilt(turned), ArrowDown: () => tilt(-turned),
+      "+": () => arm.divideScalar(nearer), "=": () => arm.divideScalar(nearer), "-": () => arm.multiplyScalar(nearer),
+    };
+    if (event.ctrlKey || event.metaKey || event.altKey || !(event.key in keys)) return;
+    event.preventDefault(); event.stopPropagation();
+    if (event.shiftKey && moves[event.key]) move(...moves[event.key]); else keys[event.key]();
+    camera.position.copy(target).add(arm);
+  });
 }"""
+VIEW_KEYS = (("arrows, + −", "in a 3D view: turn it, nearer and farther; with Shift the arrows move it"),)
+
+
+class Marks(NamedTuple):
+    """What is drawn beside bodies, (x, y, z) m: lines (colour, two ends), balls (colour, radius, place), words (text, place)."""
+
+    lines: Sequence[tuple[str, Sequence[float], Sequence[float]]] = ()
+    balls: Sequence[tuple[str, float, Sequence[float]]] = ()
+    words: Sequence[tuple[str, Sequence[float]]] = ()
+
+
+class SceneBodies(Object3D, component="scene_body.js"):
+    """Cabin, people and things of a scene in a 3D view, with marks. What is new is fetched, and all of it shown at once."""
+
+    def show(self, number: int, bodies: Mapping[str, Any], marks: Marks) -> None:
+        """Show bodies by name, as `SceneRoom.bodies` has them. number: of the scene."""
+        self.args = [number, bodies, marks._asdict()]
+        self.run_method("show", *self.args)
 
 
 def view_3d(**handlers: Callable[..., Any]) -> ui.scene:
-    """A dark view without a floor that fills its place; handlers: `on_click`, `on_drag_end` of `ui.scene`."""
+    """A dark view without a floor that fills its place, turned by mouse and keys; handlers: `on_drag_end` of `ui.scene`, ..."""
     view = ui.scene(grid=False, background_color="#1b1e24", **handlers)  # type: ignore[arg-type]
+    view.props("role=application aria-label='3D view: arrows turn it, plus and minus zoom'").classes("studio-view")
     view.on("init", js_handler=_ON_CHANGE % view.id)
     view.style("width: 100%; height: 100%")
     return view
