@@ -60,6 +60,12 @@ def test_opening_reads_no_image(dataset_folder: Path, monkeypatch: pytest.Monkey
         dataset.depth[0].load()
 
 
+def test_frames_come_in_the_order_asked(dataset_folder: Path) -> None:
+    whole, order = open_dataset(dataset_folder), [3, 0, 4, 0, 2]  # of all parts, there and back
+    for name in ("depth", "joints_3d", "subject"):
+        np.testing.assert_array_equal(open_dataset(dataset_folder)[name][order].values, whole[name].values[order])
+
+
 def test_xarray_alone_reads_a_part(dataset_folder: Path) -> None:
     """A part needs no code of ours: coordinates, units, metres and NaN come from its own metadata, without a warning."""
     with warnings.catch_warnings():

@@ -15,7 +15,7 @@ import yaml
 from cabinpose.core.errors import CabinposeError, ConfigError
 
 _LONGEST = 8_000_000  # characters
-_LONG = 100_000  # which take a second without libyaml
+_LONG = 20_000  # which take 0.2 s without libyaml
 _FLAT = 300  # levels at the most
 _DEEP = re.compile(r"(?:[\[{]\s*){500}")  # deeper than recursion goes; PyYAML looks ahead for a second before it finds out
 _MOST_REPEATED = 100_000  # values that aliases add to those that are written down

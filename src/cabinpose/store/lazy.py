@@ -9,6 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -148,14 +149,18 @@ class PartsArray(BackendArray):
         return xr.Variable(self._variable.dims, data, attrs)
 
     def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        first, rest = key[0], key[1:]
-        single = isinstance(first, (int, np.integer))
-        frames = np.atleast_1d(np.arange(self.shape[0])[first])
+        rows_asked, rest = key[0], key[1:]
+        single = isinstance(rows_asked, (int, np.integer))
+        frames = np.atleast_1d(np.arange(self.shape[0])[rows_asked])
         owners = np.searchsorted(self._starts, frames, "right") - 1
+        order = np.argsort(owners, kind="stable")
         stored = np.dtype(object if self._variable.dtype == "str" else self._variable.dtype)
         values = np.empty((len(frames), *self.shape[1:]), stored)
-        for part in np.unique(owners).tolist():
-            values[owners == part] = self._part_values(part, frames[owners == part] - self._starts[part])
+        first = np.flatnonzero(np.diff(owners[order], prepend=-1)).tolist()  # where each part's frames begin
+        for begin, end in pairwise([*first, len(order)]):
+            rows = order[begin:end]
+            part = int(owners[rows[0]])
+            values[rows] = self._part_values(part, frames[rows] - self._starts[part])
         for axis in range(len(rest), 0, -1):  # from the last, so that axes taken out do not move the others
             values = values[(*[slice(None)] * axis, rest[axis - 1])]
         return self._decoded(values.squeeze(0) if single else values)
@@ -163,13 +168,13 @@ class PartsArray(BackendArray):
     def _part_values(self, part: int, frames: NDArray[np.int64]) -> NDArray[Any]:
         """Raw values of some frames (indices into the part) of one part."""
         name, variable, crcs = self._names[part], self._variable, self._crcs[part]
-        path = self._folder / name / variable.name
+        path = f"{self._folder}/{name}/{variable.name}/c"
         try:
             if variable.is_image:
-                return read_frames(path / "c", frames, self.shape[1:], np.dtype(variable.dtype), crcs)
+                return read_frames(Path(path), frames, self.shape[1:], np.dtype(variable.dtype), crcs)
             if self._latest[0] != part:
                 shape = int(self._starts[part + 1] - self._starts[part]), *self.shape[1:]
-                self._latest = part, read_whole(path / "c", shape, variable.dtype, crcs)
+                self._latest = part, read_whole(path, shape, variable.dtype, crcs)
             values: NDArray[Any] = self._latest[1][frames]
             return values
         except (OSError, ValueError, RuntimeError) as error:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core import DatasetError
 from cabinpose.store.schema import MANIFEST_NAME, SCHEMA_VERSION, Manifest, PartPlan, checksum
-from cabinpose.store.shard import check_last_chunks, read_whole
-from cabinpose.store.zarr_metadata import describes, dimension_labels, zarr_arrays
+from cabinpose.store.shard import check_last_chunks, file_bytes, read_whole
+from cabinpose.store.zarr_metadata import ZarrArray, describes, dimension_labels, zarr_arrays
 
 _Count = Annotated[int, Field(ge=0)]
 _ANOTHER_IMPORT = "put the parts of this import back, or import again"
@@ -54,7 +56,8 @@ def check_parts(folder: Path, plans: Sequence[PartPlan], manifest: Manifest) -> 
 
     Raises `DatasetError` as `check_part` does, and where one of two neighbours was put there from another import.
     """
-    facts = [check_part(folder / plan.name, plan, manifest) for plan in plans]
+    arrays = lru_cache(partial(zarr_arrays, manifest))  # most parts hold as many frames
+    facts = [check_part(folder / plan.name, plan, manifest, arrays) for plan in plans]
     for number in range(1, len(plans)):
         before, plan, after = plans[number - 1], plans[number], facts[number].after
         if before.index + 1 == plan.index and after is not None and after != facts[number - 1].checksum:
@@ -73,11 +76,12 @@ def check_parts(folder: Path, plans: Sequence[PartPlan], manifest: Manifest) -> 
     return facts
 
 
-def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
+def check_part(path: Path, plan: PartPlan, manifest: Manifest, arrays_of: Callable[[int], tuple[ZarrArray, ...]]) -> PartFacts:
     """The facts of a complete part, after comparing its checksum, file sizes, arrays and names with what they should be.
 
-    Of each file the checksum of its last chunk is held against the part's; all are compared when they are read. Raises
-    `DatasetError` naming the part and the file where something is missing, damaged or not as the manifest says.
+    arrays_of: those of a part that holds so many frames. Of each file the checksum of its last chunk is held against the part's;
+    all are compared when they are read. Raises `DatasetError` naming the part and the file where something is missing, damaged or
+    not as the manifest says.
     """
     hint = f"delete {path} and run the command that made it with --resume"
     facts, arrays = _read(path, hint)
@@ -85,24 +89,26 @@ def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
         raise _another_datasets(path, facts, manifest)
     if (facts.first_frame, facts.frames + len(facts.skipped)) != (plan.first, plan.frames):
         raise DatasetError(f"{path.name} does not hold the frames that {MANIFEST_NAME} says", hint=hint)
+    folder = str(path)
     for name, size in facts.file_sizes.items():
         try:
-            found = (path / name).stat().st_size
+            found = os.stat(f"{folder}/{name}").st_size  # noqa: PTH116 - a third of the time of `Path.stat`
         except (OSError, ValueError):  # ValueError: no name that a file can have
             raise DatasetError(f"{path.name} is damaged: {name} is missing", hint=hint) from None
         if found != size:
             raise DatasetError(f"{path.name} is damaged: {name} has {found} bytes instead of {size}", hint=hint)
-    for array in zarr_arrays(manifest, facts.frames):
+    for array in arrays_of(facts.frames):
         try:
-            own = json.loads((path / array.name / "zarr.json").read_text(encoding="utf-8"))
+            own = file_bytes(f"{folder}/{array.name}/zarr.json").decode()
+            agrees = _parsed(own) == arrays.get(array.name)
         except (OSError, ValueError, RecursionError) as error:
             raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json cannot be read", hint=hint) from error
-        if own != arrays.get(array.name):
+        if not agrees:
             raise DatasetError(f"{path.name} is damaged: {array.name}/zarr.json does not agree with zarr.json", hint=hint)
-        if not describes(own, array):
+        if not _describes(own, array):
             raise _disagrees(path, f"the shape, type or classes of {array.name}")
         try:
-            check_last_chunks(f"{path}/{array.name}/c", len(array.dims), facts.crcs(array.name), image=array.is_image)
+            check_last_chunks(f"{folder}/{array.name}/c", len(array.dims), facts.crcs(array.name), image=array.is_image)
         except (OSError, ValueError) as error:
             raise DatasetError(f"{path.name} is damaged: {array.name} is {error}", hint=hint) from error
     skipped = set(facts.skipped)
@@ -110,12 +116,23 @@ def check_part(path: Path, plan: PartPlan, manifest: Manifest) -> PartFacts:
     expected = {name: (labels, "str") for name, labels in dimension_labels(manifest).items()} | {"frame": (numbers, "int64")}
     for name, (values, kind) in expected.items():
         try:
-            stored = tuple(read_whole(path / name / "c", (len(values),), kind, facts.crcs(name)).tolist())
+            stored = tuple(read_whole(f"{folder}/{name}/c", (len(values),), kind, facts.crcs(name)).tolist())
         except (OSError, ValueError, RuntimeError) as error:
             raise DatasetError(f"{path.name} is damaged: cannot read {name} ({error})", hint=hint) from error
         if stored != values:
             raise _disagrees(path, f"the {'numbers' if name == 'frame' else 'names'} of {name}")
     return facts
+
+
+@lru_cache(maxsize=256)
+def _parsed(text: str) -> Any:
+    """What a `zarr.json` of an array says, which is the same in most parts."""
+    return json.loads(text)
+
+
+@lru_cache(maxsize=256)
+def _describes(text: str, array: ZarrArray) -> bool:
+    return describes(_parsed(text), array)
 
 
 def _read(path: Path, hint: str) -> tuple[PartFacts, dict[str, Any]]:

@@ -78,7 +78,7 @@ class DatasetTab:
         )
         self._filters = {}
         for name, values in self._coordinates.items():
-            options = sorted({str(value) for value in values.ravel() if str(value)})
+            options = sorted(filter(None, map(str, set(values.ravel().tolist()))))
             self._filters[name] = (
                 ui.select(options, label="view" if name == "pov" else name, multiple=True, clearable=True, on_change=self._filter)
                 .props("dense outlined use-chips")
