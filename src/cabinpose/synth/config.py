@@ -449,6 +449,11 @@ def _with_paths(data: dict[str, Any], base: Path) -> dict[str, Any]:
     if isinstance(style := data.get("style"), dict):
         paths = {key: str((base / style[key]).resolve()) for key in ("by", "vgg19") if isinstance(style.get(key), str)}
         data = {**data, "style": {**style, **paths}}
+    people: Any = data.get("people")
+    crowd = people.get("random") if isinstance(people, dict) else None
+    if isinstance(crowd, dict) and str(crowd.get("population")).lower().endswith(".csv"):
+        crowd = {**crowd, "population": str((base / crowd["population"]).resolve())}
+        data = {**data, "people": {**people, "random": crowd}}
     scene = data.get("scene")
     if not isinstance(scene, dict):
         return data

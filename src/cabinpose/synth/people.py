@@ -6,15 +6,28 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core import ConfigError, unknown_name
-from cabinpose.scene.body import DEFAULT_RANGES, STATURE_LIMITS_M, SUBJECTS, YEARS_LIMITS, Outfit, Phenotype
+from cabinpose.scene.body import (
+    DEFAULT_RANGES,
+    STATURE_LIMITS_M,
+    SUBJECTS,
+    YEARS_LIMITS,
+    Outfit,
+    Phenotype,
+    Population,
+    load_population,
+)
 from cabinpose.synth.streams import frame_rng
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 _SUBJECTS = tuple(f"S{number:02d}" for number in range(1, 19))  # of a configuration that names none
 _RANDOM_PERSON = re.compile(r"R\d{4,}")
+EVENLY = "evenly"  # in place of a population: parameters of shape, each by itself
+_USUAL_POPULATION, _ADULT_YEARS = "nhanes", 18.0
+_OF_SIZE = ("years", "stature_cm", "mass_kg", "gender")
 CHILD_NAME = re.compile(r"K(0\d|1\d|2[0-3])")  # who sits in child seats
 
 
@@ -41,23 +54,78 @@ class RandomPeople(Model):
     """A crowd of people drawn once for the dataset, named R0000, R0001, ..."""
 
     count: int = Field(100, ge=1, le=100_000)
+    population: str | None = Field(
+        None,
+        exclude_if=lambda population: population is None,
+        description="Whom they are drawn from: nhanes (American civilians), ansur (soldiers), cdc (American children), the path"
+        " of a CSV of your own, or evenly. Left out: nhanes, or evenly where `ranges` names parameters of shape.",
+    )
     ranges: Mapping[str, Range] = Field(
-        {}, description="Ranges of years, stature_cm, gender, muscle, weight, height, proportions (0..1), where not the defaults."
+        {},
+        description="Of a population: ranges of years, stature_cm, mass_kg, gender (0 male, 1 female). Evenly: of years,"
+        " stature_cm, gender, muscle, weight, height, proportions (0..1), where not the defaults.",
     )
 
-    @field_validator("ranges")
-    @classmethod
-    def _known(cls, ranges: Mapping[str, Range]) -> Mapping[str, Range]:
-        Phenotype.random({n: (r.min, r.max) for n, r in ranges.items()}, rng=frame_rng(0, 0))
-        return ranges
+    @model_validator(mode="after")
+    def _known(self) -> RandomPeople:
+        self.draw(rng=frame_rng(0, 0))
+        return self
+
+    @property
+    def drawn_from(self) -> Population | None:
+        """The population; None where parameters are drawn evenly."""
+        name = self.population or (EVENLY if set(self.ranges) - set(_OF_SIZE) else _USUAL_POPULATION)
+        return None if name == EVENLY else load_population(name)
+
+    @property
+    def _years(self) -> tuple[float, float]:
+        """Of a population: those asked for, or adults where it has any."""
+        population = self.drawn_from
+        first, last = population.years() if population else YEARS_LIMITS
+        first = max(first, YEARS_LIMITS[0])
+        if "years" in self.ranges:
+            return self.ranges["years"].min, self.ranges["years"].max
+        return (max(first, _ADULT_YEARS) if last > _ADULT_YEARS + 2.0 else first), last
+
+    def draw(self, *, rng: np.random.Generator) -> Phenotype:
+        """Somebody of the crowd. Raises ConfigError where nobody can be drawn."""
+        population, ranges = self.drawn_from, {name: (r.min, r.max) for name, r in self.ranges.items()}
+        if population is None:
+            return Phenotype.random(ranges, rng=rng)
+        if others := sorted(set(ranges) - set(_OF_SIZE)):
+            raise ConfigError(
+                f"ranges of {', '.join(others)} have no place beside population {population.name}",
+                hint=f"give {', '.join(_OF_SIZE)}, or population: {EVENLY}",
+            )
+        Phenotype.random({n: r for n, r in ranges.items() if n != "mass_kg"}, rng=frame_rng(0, 0))  # the ranges' limits
+        size = population.draw(
+            rng=rng,
+            sex=self._sex,
+            years=self._years,
+            stature_m=_scaled(ranges.get("stature_cm"), 0.01),
+            mass_kg=ranges.get("mass_kg"),
+        )
+        return Phenotype.of_size(size, rng=rng)
+
+    @property
+    def _sex(self) -> Literal["male", "female"] | None:
+        """Of a population: the one whose gender alone is in the range."""
+        gender = self.ranges.get("gender")
+        if gender is None or gender.min < 0.5 <= gender.max:
+            return None
+        return "male" if gender.max < 0.5 else "female"
 
     @property
     def youngest_years(self) -> float:
         """The least age that is drawn."""
-        if "years" in self.ranges:
-            return self.ranges["years"].min
+        if self.drawn_from is not None or "years" in self.ranges:
+            return self._years[0]
         age = self.ranges["age"].min if "age" in self.ranges else DEFAULT_RANGES["age"][0]
         return Phenotype(age=age).years
+
+
+def _scaled(limits: tuple[float, float] | None, factor: float) -> tuple[float, float] | None:
+    return None if limits is None else (limits[0] * factor, limits[1] * factor)
 
 
 class OwnPerson(Model):
@@ -85,7 +153,9 @@ class OwnPerson(Model):
 class People(Model):
     """Who can take part."""
 
-    subjects: tuple[str, ...] = Field(_SUBJECTS, description="Named people of the package, S01 .. S18.")
+    subjects: tuple[str, ...] = Field(
+        _SUBJECTS, description="Named people of the package, S01 .. S18, or of a percentile: nhanes_male_p50, cdc_female_6y_p5."
+    )
     own: Mapping[str, OwnPerson] = Field({}, description="People of your own by name, beside them.")
     random: RandomPeople | None = Field(None, description="People drawn at random, beside the named ones.")
     asymmetric: bool = Field(False, description="Whether the left and right sides of bodies differ, of each in its own way.")
@@ -96,7 +166,10 @@ class People(Model):
         for name in self.subjects:
             if name not in SUBJECTS:
                 hint = "people of your own take part without being named here" if name in self.own else None
-                raise ConfigError(str(unknown_name("subject", name, ())), hint=hint or f"known: {', '.join(SUBJECTS)}")
+                raise ConfigError(
+                    str(unknown_name("subject", name, ())),
+                    hint=hint or f"known: {', '.join(SUBJECTS)}, and percentiles as nhanes_male_p50",
+                )
         for name in self.own:
             if name in SUBJECTS or _RANDOM_PERSON.fullmatch(name) or CHILD_NAME.fullmatch(name) or not name:
                 raise ConfigError(f"'{name}' is the name of somebody else", hint="give a person of your own another name")

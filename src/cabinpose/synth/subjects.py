@@ -8,7 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from cabinpose.core import ConfigError, unknown_name
-from cabinpose.scene.body import SUBJECTS, YEARS_LIMITS, BodyModel, Outfit, Person, Phenotype, age_of, usual_stature_m
+from cabinpose.scene.body import (
+    SUBJECTS,
+    YEARS_LIMITS,
+    BodyModel,
+    Outfit,
+    Person,
+    Phenotype,
+    age_of,
+    load_population,
+    usual_stature_m,
+)
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.once import cached_once
 from cabinpose.synth.people import CHILD_NAME, OwnPerson, People
@@ -16,6 +26,7 @@ from cabinpose.synth.streams import CHILD_STREAM, PEOPLE_STREAM, frame_rng, own_
 
 CHILDREN, _CHILD_YEARS = 24, (3.0, 11.5)  # for child seats, of evenly spread ages
 _MUSCLES = (0.3, 0.2, 0.1, 0.0)  # of own people, the first with which a body can have the mass: heavy ones have less
+_BEARD_YEARS, _BALD_YEARS = 16.0, 25.0
 _WEIGHT = 0.65  # of own people; about the average of S01 .. S18
 
 
@@ -54,14 +65,17 @@ class Subjects:
         if child := CHILD_NAME.fullmatch(name):
             rng = frame_rng(self._seed, CHILD_STREAM + int(child[1]))
             years = np.interp(int(child[1]) + rng.random(), (0, CHILDREN), _CHILD_YEARS)
-            body, outfit = Phenotype.random({"years": (years, years)}, rng=rng), Outfit.random(rng=rng)
-            return body, replace(outfit, beard=False, hair="short" if outfit.hair == "bald" else outfit.hair)
+            population = crowd.drawn_from if (crowd := self._people.random) else None
+            if population is None or not population.has(years):
+                population = load_population("nhanes")
+            body = Phenotype.of_size(population.draw(rng=rng, years=(years, years)), rng=rng)
+            return body, _suited(Outfit.random(rng=rng), body)
         crowd = self._people.random
         if crowd is None or not name.startswith("R"):
             raise unknown_name("subject", name, self._people.names)
         rng = frame_rng(self._seed, PEOPLE_STREAM - int(name[1:]))
-        phenotype = Phenotype.random({name: (r.min, r.max) for name, r in crowd.ranges.items()}, rng=rng)
-        return phenotype, Outfit.random(rng=rng)
+        phenotype = crowd.draw(rng=rng)
+        return phenotype, _suited(Outfit.random(rng=rng), phenotype)
 
     def _old_enough(self, name: str) -> bool:
         """Whether somebody drives in this dataset."""
@@ -82,6 +96,16 @@ def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotyp
 @cached_once(len(SUBJECTS))
 def _named_person(name: str) -> Person:
     return BodyModel.load().person(SUBJECTS[name].phenotype, SUBJECTS[name].outfit)
+
+
+def _suited(outfit: Outfit, phenotype: Phenotype) -> Outfit:
+    """The outfit with the beard and baldness of men alone."""
+    grown_man = phenotype.gender < 0.5 and phenotype.years >= _BEARD_YEARS
+    return replace(
+        outfit,
+        beard=outfit.beard and grown_man,
+        hair="short" if outfit.hair == "bald" and not (grown_man and phenotype.years >= _BALD_YEARS) else outfit.hair,
+    )
 
 
 def _own_body(own: OwnPerson) -> tuple[Phenotype, Outfit]:

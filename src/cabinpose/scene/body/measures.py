@@ -1,0 +1,112 @@
+"""Body dimensions measured on a mesh, as an anthropometrist takes them on a person: `measure`.
+
+Sitting ones are taken with the trunk upright and hips, knees and elbows at right angles. A mesh has no bones under its skin, and
+no seat presses it flat: `populations.DIMENSIONS` says what stands for each landmark.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from cabinpose._native import body as native
+from cabinpose.core import Bytes, Floats, Floats32, Ints
+from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.kinematics import RestArrays, main_frames
+from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS
+from cabinpose.scene.body.shape import load_shape_space
+
+# The acromion from the shoulder joint of a person of 1.75 m, outwards and up: between the joints are 30 to 40 mm less than the
+# biacromial breadth, and they lie 34.5 mm below (de Leva 1996).
+_ACROMION_M = (0.020 / 1.75, 0.0345 / 1.75)
+_ABOVE_BROWS_M, _ABOVE_EARS_M = (0.025, 0.075), 0.037  # above the eyes of the average adult
+_DIRECTIONS = 36  # in which the head's breadth is measured: Cauchy's formula for the hull's circumference
+
+
+class MeasuredRows(NamedTuple):
+    """The vertices that matter, and where in them each region's stand."""
+
+    vertex: Ints
+    bone_index: Bytes
+    bone_weight: Floats32
+    region: MappingProxyType[str, Ints]
+
+
+@cache
+def measured_rows() -> MeasuredRows:
+    """Of the packaged topology; once per process."""
+    c, space = load_chart(), load_shape_space()
+    left, eyes = c.side >= 0, (c.heads["leye"] + c.heads["reye"]) / 2
+    height, head = c.rest[:, 2] - eyes[2], c.head > 0.99
+    on_leg = c.leg > 0.5
+    sat_on = (c.arm < 0.5) & (c.up < 0.16) & (~on_leg | (c.along_leg < 0.6))
+    regions = {
+        "top": head & (height > 0.08),
+        "soles": on_leg & (c.along_leg > 2.6),
+        "sat_on": sat_on,
+        "knee": on_leg & left & (c.along_leg > 0.93) & (c.along_leg < 1.05) & (c.rest[:, 0] > c.heads["llowerleg01"][0]),
+        "foot": on_leg & left & (c.along_leg > 2.0),
+        "upper_arms": (c.arm > 0.3) & (c.along_arm < 0.6),
+        "hand": (c.arm > 0.5) & left & (c.along_arm > 2.0),
+        "brows": head & (height > _ABOVE_BROWS_M[0]) & (height < _ABOVE_BROWS_M[1]),
+        "skull": head & (height > _ABOVE_EARS_M),
+    }
+    vertex = np.flatnonzero(np.any(list(regions.values()), axis=0))
+    at = {name: np.flatnonzero(mask[vertex]) for name, mask in regions.items()}
+    return MeasuredRows(vertex, space.bone_index[vertex], space.bone_weight[vertex], MappingProxyType(at))
+
+
+@cache
+def _postures() -> tuple[Floats, Floats]:
+    """Standing and sitting: joint angles (D,)."""
+    standing, sitting = np.zeros(len(DOFS)), np.zeros(len(DOFS))
+    for side in "lr":
+        for axis in ("hip.flexion", "knee.flexion", "elbow.flexion"):
+            sitting[DOF_INDEX[f"{side}{axis}"]] = np.pi / 2
+    return standing, sitting
+
+
+def measure(skin: Floats32, rest: RestArrays) -> Floats:
+    """Stature standing upright, then the dimensions in the order of `DIMENSIONS`, m.
+
+    skin: (R, 3) at rest, root axes, m: the vertices of `measured_rows` alone.
+    """
+    rows = measured_rows()
+    region, bare = rows.region, np.ascontiguousarray(skin)[None]
+    posed = []
+    for q in _postures():
+        transforms, out = np.empty((len(BONES), 3, 4)), np.empty_like(bare)
+        frames = main_frames(q, rest, np.eye(4))
+        native.skin_transforms(q, rest, *frames, transforms)
+        native.skin_layers(transforms, rows.bone_index, rows.bone_weight, bare, out)
+        posed.append((out[0].astype(np.float64), frames[1]))
+    (stand, stand_bones), (sit, _) = posed
+    stature = float(stand[region["top"], 2].max() - stand[region["soles"], 2].min())
+    outwards, up = (share * stature for share in _ACROMION_M)
+    shoulder, elbow, wrist = (stand_bones[BONE_INDEX[name]] for name in ("lupperarm", "lforearm", "lhand"))
+    hand = stand[region["hand"]] - wrist
+    knee, seat, head = sit[region["knee"]], sit[region["sat_on"]], sit[region["brows"]]
+    turn = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)
+    across = rp.matmul(head[:, :2], np.stack([rp.cos(turn), rp.sin(turn)]))
+    return np.array(
+        [
+            stature,
+            sit[region["top"], 2].max() - seat[:, 2].min(),
+            knee[:, 0].max() - seat[:, 0].min(),
+            knee[:, 2].max() - sit[region["foot"], 2].min(),
+            2.0 * (shoulder[1] + outwards),
+            np.ptp(sit[region["upper_arms"], 1]),
+            np.ptp(seat[:, 1]),
+            rp.norm(shoulder + (0.0, outwards, up) - elbow),
+            rp.norm(elbow - wrist),
+            np.sqrt((hand * hand).sum(axis=1).max()),
+            np.ptp(stand[region["foot"], 0]),
+            np.ptp(sit[region["skull"], 1]),
+            rp.matmul(np.ptp(across, axis=0), np.full(_DIRECTIONS, np.pi / _DIRECTIONS)),
+        ],
+        np.float64,
+    )

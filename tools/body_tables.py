@@ -1,0 +1,169 @@
+"""Print the tables of docs/populations.md from the tree as it is: `python tools/body_tables.py [TABLE ...] [--scale SHARE]`.
+
+Tables, each of Markdown, with what is beyond its limit in bold:
+
+ draws      10 000 draws of each sex and age band of each population against what is published, the largest over bands
+ bands      the same by band
+ adults     300 bodies of adults, measured on their mesh against what was asked of each
+ children   300 bodies from 3 to 17 years, likewise
+ reach      how many of a population are beyond what bodies can be
+
+--scale: a share of the draws and bodies, to try it quickly.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.scene.body import DIMENSIONS, POPULATIONS, YEARS_LIMITS, BodyModel, Phenotype, load_population
+
+Array = NDArray[np.float64]
+LIMIT_PERCENT = {"stature": 2.0, "mass": 5.0}  # of draws
+LIMIT_OF_BODIES_PERCENT = 3.0
+PERCENTILES = (5, 50, 95)
+FILES = Path(__file__).resolve().parents[1] / "src/cabinpose/scene/body/assets/populations"
+SEED = 36
+
+
+def rng() -> np.random.Generator:
+    """The same draws for every table."""
+    return np.random.Generator(np.random.Philox(SEED))
+
+
+def marked(value: float, limit: float, digits: int = 1) -> str:
+    """A deviation in per cent, bold beyond its limit."""
+    text = f"{value:.{digits}f}"
+    return f"**{text}**" if abs(value) > limit else text
+
+
+def published(population: str) -> Iterator[tuple[str, float, float, dict[str, list[float]]]]:
+    """Sex, ages; mean and SD (of bands alone) and `PERCENTILES` of stature (cm) and mass (kg), as its file has them."""
+    cells: dict[tuple[str, float, float], dict[str, list[float]]] = {}
+    for row in csv.DictReader((FILES / f"{population}.csv").read_text("utf-8").splitlines()):
+        if "L" in row:
+            power, median, spread = (float(row[key]) for key in "LMS")
+            values = [median * (1 + power * spread * NormalDist().inv_cdf(p / 100)) ** (1 / power) for p in PERCENTILES]
+            years = (float(row["years"]), float(row["years"]))
+        else:
+            values = [float(row[key]) for key in ("mean", "sd", *(f"p{p}" for p in PERCENTILES))]
+            years = (float(row["years_from"]), float(row["years_to"]))
+        cells.setdefault((row["sex"], *years), {})[row["measure"]] = values
+    for (sex, first, last), measures in cells.items():
+        if first >= YEARS_LIMITS[0] and (first != last or first % 3 == 0 or first == YEARS_LIMITS[0]):
+            yield sex, first, last, measures
+
+
+def bands(scale: float) -> Iterator[tuple[str, str, str, dict[str, tuple[Array, Array]]]]:
+    """Population, sex, years and what is published and drawn of each measure: mean, SD (of bands alone), percentiles."""
+    for name in POPULATIONS:
+        for sex, first, last, measures in published(name):
+            generator, population = rng(), load_population(name)
+            people = [population.draw(rng=generator, sex=sex, years=(first, last)) for _ in range(int(10_000 * scale))]
+            sizes = {"stature": [100 * person.stature_m for person in people], "mass": [person.mass_kg for person in people]}
+            both = {}
+            for measure, values in sizes.items():
+                drawn = np.array([np.mean(values), np.std(values), *np.percentile(values, PERCENTILES)])
+                both[measure] = np.array(measures[measure]), drawn[-len(measures[measure]) :]
+            yield name, sex, f"{first:g}" if last - first <= 1 else f"{first:g} to {last - 1:g}", both
+
+
+def draws(scale: float) -> Iterator[list[str]]:
+    """How far draws are from what is published, the largest over age bands."""
+    yield ["population", "sex", "bands", *(f"{m}: {what}, %" for m in LIMIT_PERCENT for what in ("mean", "SD", "percentiles"))]
+    found: dict[tuple[str, str], list[dict[str, Array]]] = {}
+    for name, sex, _, both in bands(scale):
+        off = {measure: 100 * (drawn / asked - 1) for measure, (asked, drawn) in both.items()}
+        found.setdefault((name, sex), []).append(off)
+    for (name, sex), off_bands in found.items():
+        row = [name, sex, str(len(off_bands))]
+        for measure, limit in LIMIT_PERCENT.items():
+            off = np.array([one[measure] for one in off_bands])
+            parts = (off[:, :0], off[:, :0], off) if off.shape[1] == len(PERCENTILES) else (off[:, :1], off[:, 1:2], off[:, 2:])
+            row += [marked(part.flat[np.argmax(abs(part))], limit) if part.size else "" for part in parts]
+        yield row
+
+
+def draws_by_band(scale: float) -> Iterator[list[str]]:
+    """The same by age band, with the numbers."""
+    yield [
+        "population",
+        "sex",
+        "years",
+        *(f"{m}{what}" for m in ("stature, cm", "mass, kg") for what in ("", ": drawn", ": largest, %")),
+    ]
+    for name, sex, years, both in bands(scale):
+        row = [name, sex, years]
+        for measure, (asked, drawn) in both.items():
+            off = 100 * (drawn / asked - 1)
+            row += [", ".join(f"{x:.1f}" for x in values) for values in (asked, drawn)]
+            row.append(marked(off[np.argmax(abs(off))], LIMIT_PERCENT[measure]))
+        yield row
+
+
+def bodies(years: tuple[float, float], scale: float, populations: tuple[str, ...]) -> Iterator[list[str]]:
+    """Bodies measured on their mesh against what was asked, by dimension."""
+    model, generator = BodyModel.load(), rng()
+    errors = []
+    for k in range(int(300 * scale)):
+        size = load_population(populations[k % len(populations)]).draw(rng=generator, years=years)
+        person = model.person(Phenotype.of_size(size, rng=generator))
+        measured = person.dimensions_m
+        asked = {"stature": size.stature_m} | dict(zip(DIMENSIONS, size.dimensions_m, strict=True))
+        errors.append([*(100 * (measured[name] / asked[name] - 1) for name in asked), 100 * (person.mass_kg / size.mass_kg - 1)])
+    off = np.array(errors)
+    yield ["dimension", "mean, %", "largest, %", f"bodies beyond {LIMIT_OF_BODIES_PERCENT:g} %"]
+    for name, column in zip(("stature", *DIMENSIONS, "mass"), off.T, strict=True):
+        largest = column[np.argmax(abs(column))]
+        beyond = np.count_nonzero(abs(column) > LIMIT_OF_BODIES_PERCENT)
+        yield [
+            name.replace("_", " "),
+            f"{column.mean():.2f}",
+            marked(largest, LIMIT_OF_BODIES_PERCENT),
+            f"{beyond} of {len(off)}",
+        ]
+
+
+def reach(scale: float) -> Iterator[list[str]]:
+    """How many of each population are beyond what bodies can be."""
+    yield ["population", "sex", "years", "brought to the limit, %"]
+    for name, years in (("nhanes", (3.0, 18.0)), ("nhanes", (18.0, 81.0)), ("ansur", (17.0, 59.0)), ("cdc", (3.0, 20.0))):
+        population = load_population(name)
+        for sex in ("male", "female"):
+            share = 100 * population.beyond_bodies(sex=sex, years=years, rng=rng(), draws=int(10_000 * scale))
+            yield [name, sex, f"{years[0]:g} to {years[1]:g}", f"{share:.2f}"]
+
+
+TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
+    "draws": draws,
+    "bands": draws_by_band,
+    "adults": lambda scale: bodies((18.0, 81.0), scale, ("nhanes", "ansur")),
+    "children": lambda scale: bodies((3.0, 17.0), scale, ("nhanes", "cdc")),
+    "reach": reach,
+}
+
+
+def main() -> None:
+    """Print the tables that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)}; all where none is named")
+    parser.add_argument("--scale", type=float, default=1.0)
+    args = parser.parse_args()
+    for name in args.tables or TABLES:
+        if name not in TABLES:
+            parser.error(f"no table '{name}': {', '.join(TABLES)}")
+        print(f"\n{name}\n")
+        for number, row in enumerate(TABLES[name](args.scale)):
+            print("| " + " | ".join(row) + " |", flush=True)
+            if number == 0:
+                print("|" + "---|" * len(row))
+
+
+if __name__ == "__main__":
+    main()
