@@ -204,7 +204,7 @@ def test_export(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
     assert "hint: --overwrite" in err
     code, _, err = run("export", "coc", "--out", tmp_path / "x", dataset_folder)
     assert code == 2
-    assert "hint: did you mean coco? known: bvh, c3d, coco, csv, itop, ntu, onnx, ply, png-json, sto, trc, yolo" in err
+    assert "hint: did you mean coco? known: bvh, c3d, coco, csv, dataset, itop, ntu, onnx, ply, png-json, sto, trc, yolo" in err
 
 
 def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> None:

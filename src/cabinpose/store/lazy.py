@@ -79,6 +79,7 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         "uv": ["u", "v"],
     }
     dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, facts))
+    dataset.encoding["source"] = str(path)  # as xarray's own readers note it
     _check_cameras(path, variables, manifest)
     return dataset.set_coords([v.name for v in manifest.stored if v.coordinate])
 

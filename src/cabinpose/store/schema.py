@@ -41,6 +41,7 @@ MOST_LISTED_PARTS: Final = 100_000  # in dataset.yaml; of more it states their n
 _PART = re.compile(r"part-(\d{5}|[1-9]\d{5,})\.zarr")
 CHECKSUM_PREFIX: Final = "sha256:"
 _CONTENT: Final = "content"  # in the configuration of an import
+SELECTION: Final = "selection"  # in the configuration of frames that were chosen of another dataset
 DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
 
 
@@ -319,6 +320,19 @@ class Manifest(BaseModel):
         part names, it holds all their bytes. None in datasets that are generated, and in those written before there was one.
         """
         return self.config.get(_CONTENT)
+
+    @property
+    def selection(self) -> dict[str, Any]:
+        """Of frames that were chosen of another dataset: `of` its id, its `name`, the `frames` by their numbers there, `by` what
+        they were chosen, their `split`, and its own selection `before`. Else empty.
+        """
+        found = self.config.get(SELECTION)
+        return found if isinstance(found, dict) else {}
+
+    @property
+    def own_config(self) -> dict[str, Any]:
+        """What whoever made the frames was configured with, without what was noted when they were written."""
+        return {key: value for key, value in self.config.items() if key not in (_CONTENT, SELECTION)}
 
     def with_content(self, last: str) -> Manifest:
         """The manifest once the last part is written; last: its checksum."""

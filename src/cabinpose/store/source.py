@@ -82,12 +82,12 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
     if source.path.resolve().is_relative_to(folder.resolve()):
         raise DatasetError(f"{folder} holds the source, {source.path}", hint="give another folder with --out")
     with new_folder(folder, overwrite=overwrite) as temporary:
-        _fill(source, temporary, folder, report)
+        fill_dataset(source, temporary, folder, report)
     return folder
 
 
-def _fill(source: Source, folder: Path, told: Path, report: Report | None) -> None:
-    """Write the frames of a source into a new folder, `told` in messages."""
+def fill_dataset(source: Source, folder: Path, told: Path, report: Report | None) -> None:
+    """Write the frames of a source into a new or empty folder, `told` in messages; see `import_source`."""
     manifest, frames, done = source.manifest, source.frames(), 0
     last: str | None = None  # two imports may have one configuration: each part names the one before it, the manifest the last
     with create_dataset(folder, manifest, told=told):

@@ -215,6 +215,43 @@ def people_of(dataset: xr.Dataset) -> set[str]:
     return {str(name) for name in np.unique(dataset["subject"].values.astype(str)) if name}
 
 
+class ToldApart(NamedTuple):
+    """Splits `test` and `train`, and how many frames belong to neither, since they show values of both."""
+
+    splits: Splits
+    left_out: int
+
+
+def told_apart(dataset: xr.Dataset, chosen: NDArray[np.bool_]) -> ToldApart:
+    """Splits by values of one coordinate that have chosen frames in `test` and the others in `train`.
+
+    Parameters
+    ----------
+    dataset
+        All frames.
+    chosen
+        (F,) which of them are chosen.
+
+    Raises
+    ------
+    DatasetError
+        Where no coordinate tells the frames apart.
+    """
+    for name in COORDINATES:
+        values = dataset[name].values.reshape(len(chosen), -1)
+        others = set(values[~chosen].ravel().tolist()) - {""}
+        own = set(values[chosen].ravel().tolist()) - others - {""}
+        if own and others and np.isin(values[chosen], np.array(sorted(own), values.dtype)).any(axis=1).all():
+            splits = {"test": {name: tuple(sorted(own))}, "train": {name: tuple(sorted(others))}}
+            sides = [_mask(dataset, selection) for selection in splits.values()]
+            if all(side.any() for side in sides):
+                return ToldApart(splits, int((~np.logical_or(*sides)).sum()))
+    raise DatasetError(
+        f"no {', '.join(COORDINATES[:-1])} or {COORDINATES[-1]} tells the chosen frames from the others",
+        hint="choose by one of them, or make a dataset of the frames",
+    )
+
+
 def split_dataset(dataset: xr.Dataset, splits: Splits) -> dict[str, xr.Dataset]:
     """The lazy parts of a dataset by split; `DatasetError` where one of them is empty."""
     return {name: parts[0] for name, parts in split_datasets([dataset], splits).items()}
@@ -252,6 +289,15 @@ def merged_ranges(*by_dataset: Mapping[str, str]) -> dict[str, str]:
     """Ranges of the frames in any of these, by dataset."""
     names = dict.fromkeys(name for each in by_dataset for name in each)
     return {name: " ".join(dict.fromkeys(" ".join(each.get(name, "") for each in by_dataset).split())) for name in names}
+
+
+def number_at_first(selection: Mapping[str, Any], number: int) -> int:
+    """The number that a frame had in the first dataset that it was chosen of; selection: `Manifest.selection` of the last."""
+    while selection:
+        ends = (run.partition("-")[::2] for run in selection["frames"].split())
+        number = int(np.concatenate([np.arange(int(first), int(last or first) + 1) for first, last in ends])[number])
+        selection = selection.get("before", {})
+    return number
 
 
 def in_ranges(ranges: str, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:

@@ -100,7 +100,7 @@ def _frame_yaml(command: ConfigFrame) -> str:
     import yaml
 
     import cabinpose
-    from cabinpose.store import read_manifest
+    from cabinpose.store import number_at_first, read_manifest
     from cabinpose.synth import SynthConfig, exact_config, without_defaults
 
     folder, number, manifest = command.dataset, command.frame, read_manifest(command.dataset)
@@ -110,7 +110,8 @@ def _frame_yaml(command: ConfigFrame) -> str:
         raise ConfigError(f"{folder} has no frame {number}", hint=f"its frames are numbered from 0 to {manifest.frames - 1}")
     if manifest.generator_version != cabinpose.__version__:
         print(f"warning: {folder} is of version {manifest.generator_version}: the scene may be another", file=sys.stderr)
-    told = without_defaults(exact_config(SynthConfig.parse(manifest.config), manifest.seed, number))
+    generated = number_at_first(manifest.selection, number)
+    told = without_defaults(exact_config(SynthConfig.parse(manifest.own_config), manifest.seed, generated))
     text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True)
     return f"# frame {number} of a dataset with seed {manifest.seed}\n{text}"
 

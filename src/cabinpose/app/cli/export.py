@@ -110,12 +110,20 @@ def _frames(command: ExportDataset, form: DatasetFormat) -> tuple[xr.Dataset, Sp
     """The frames to export, and the splits to write them by: one that is named or all, where the format can tell splits apart."""
     from cabinpose.app.cli.selection import frames_with, opened, selected, selection
     from cabinpose.store import read_splits
+    from cabinpose.store.convert import CHOSEN_BY
 
-    dataset = opened(command.dataset, command.labels)
+    dataset = opened(command.dataset, command.labels).assign_attrs({CHOSEN_BY: _choice(command)})
     if command.splits is None or not form.tells_splits:
         return selected(dataset, command), {}
     splits = read_splits(command.splits, None if command.split is None else [command.split])
     return frames_with(dataset, [selection(command.select)], command.where), splits
+
+
+def _choice(command: ExportDataset) -> str:
+    """The flags that choose frames and labels, as they were given, without the folders of their files."""
+    files = [f"--{name} {getattr(command, name).name}" for name in ("labels", "splits") if getattr(command, name) is not None]
+    words = [f"--{name} {getattr(command, name)}" for name in ("split", "where") if getattr(command, name) is not None]
+    return " ".join([*files, *([f"--select {' '.join(command.select)}"] if command.select else []), *words])
 
 
 def _export_recording(command: ExportRecording) -> None:

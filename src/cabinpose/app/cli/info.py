@@ -82,9 +82,13 @@ def _print_dataset(command: Info) -> None:
     if command.as_json:
         checks = {"verified": command.verify, "checksum": manifest.checksum, "parts_without_checksum": unchecked}
         checks["parts_without_dataset"] = unbound
-        print_json(dataclasses.asdict(summary) | checks)
+        print_json(dataclasses.asdict(summary) | checks | ({"selection": manifest.selection} if manifest.selection else {}))
         return
-    print_rows(_dataset_rows(summary))
+    rows = _dataset_rows(summary)
+    if told := manifest.selection:
+        by = f", by {told['by']}" if "by" in told else ""
+        rows.insert(2, ("chosen of", f"{told['name']} ({told['of']}){by}"))
+    print_rows(rows)
     if unbound:
         those = f"{unbound} of {summary.parts} parts"
         print(f"{those} were written before parts named their dataset: whether they are of this one is not known")

@@ -63,6 +63,7 @@ def summarise(whole: xr.Dataset, manifest: Manifest, folder: Path, dataset: xr.D
     rejections = dataset.attrs["rejections"]
     proposals = dataset.attrs["proposals"]
     valid, histogram = _depths(dataset)
+    unknown = bool(manifest.selection or (manifest.config.get("scene") or {}).get("sequence"))
     return DatasetSummary(
         folder=str(folder),
         generator=f"{manifest.generator} {manifest.generator_version}",
@@ -86,7 +87,7 @@ def summarise(whole: xr.Dataset, manifest: Manifest, folder: Path, dataset: xr.D
         visibility={state.name.lower(): int(visibility[state]) for state in Visibility if state != Visibility.ABSENT},
         proposals=proposals,
         rejections=rejections,
-        acceptance=None if (manifest.config.get("scene") or {}).get("sequence") else _acceptance(proposals, rejections),
+        acceptance=None if unknown else _acceptance(proposals, rejections),
         valid_pixels=valid,
         depth_histogram=histogram,
     )

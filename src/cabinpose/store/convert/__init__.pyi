@@ -32,3 +32,4 @@ from .recordings import export_recording as export_recording
 from .recordings import import_recording as import_recording
 from .rows import epoch_ns as epoch_ns
 from .rows import rows_of as rows_of
+from .standard import CHOSEN_BY as CHOSEN_BY
