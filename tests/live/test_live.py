@@ -15,10 +15,9 @@ import pytest
 import yaml
 
 from cabinpose.app.cli import live as live_command
-from cabinpose.app.cli.live import _people
 from cabinpose.app.live.choose import open_feed, parsed_settings
 from cabinpose.app.live.feed import LatestFrame, LiveFrame, batch_of
-from cabinpose.app.live.run import Found, Latency, Live
+from cabinpose.app.live.run import Found, Latency, Live, _people
 from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, PoseBatch
 from cabinpose.estimate import joint_predictor

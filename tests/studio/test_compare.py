@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 pytest.importorskip("nicegui", reason="needs the extra `studio`")
 
-from cabinpose.app.studio.joint_chart import column, joint_chart
+from cabinpose.app.studio.joint_chart import column, joint_chart, places_chart
+from cabinpose.app.studio.models import joint_places
 from cabinpose.app.studio.view3d import skeleton_lines
-from cabinpose.evaluate import FrameDistances
+from cabinpose.evaluate import EvaluationOptions, FrameDistances
+from cabinpose.store import Predictions
 
 NONE, MISSED = np.nan, np.inf
 DISTANCES = FrameDistances(
@@ -21,7 +25,7 @@ DISTANCES = FrameDistances(
 
 
 def test_chart_has_every_joint_in_every_frame() -> None:
-    chart = joint_chart(DISTANCES, {})
+    chart = joint_chart(DISTANCES, "d")
     heat, *lines, ghost = chart["series"]
     cells = {(frame, joint): d for frame, joint, d in heat["data"]}
     assert len(cells) == 11  # one does not count
@@ -44,6 +48,37 @@ def test_chart_has_every_joint_in_every_frame() -> None:
 def test_a_click_is_that_of_a_column() -> None:
     assert column(SimpleNamespace(value=[7, 2, 3.1], data_index=40)) == 7
     assert column(SimpleNamespace(value=3.1, data_index=40)) == 40
+
+
+def test_a_joint_is_shown_where_it_was_with_the_error_there() -> None:
+    """Three frames of two seats, the camera 1 m before the vehicle's origin and turned: frame 1 finds nobody, one is hidden."""
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], (1, 0, 0)
+    true = np.array([[[[0.1, 0.2, 1.0]], [[0.3, 0.2, 1.1]]]] * 3)  # (F, P, J, 3)
+    dataset = xr.Dataset(
+        {
+            "joints_3d": (("frame", "person", "joint", "xyz"), true),
+            "joints_2d": (("frame", "person", "joint", "uv"), 100 * true[..., :2]),
+            "visibility": (("frame", "person", "joint"), np.array([[[4], [4]], [[4], [4]], [[4], [1]]], np.uint8)),
+            "vehicle_from_camera": (("frame", "i", "k"), np.stack([turned] * 3)),
+        },
+        coords={"frame": [4, 5, 9], "person": ["driver", "front_passenger"], "joint": ["head"]},
+    )  # fmt: skip
+    given = true + (0.03, 0.04, 0)
+    found = np.array([[[1.0], [1.0]], [[0.2], [0.2]], [[1.0], [1.0]]], np.float32)
+    model = Predictions(
+        (100 * given[..., :2]).astype(np.float32), given.astype(np.float32), found, found, frame=np.array([4, 5, 9]),
+        persons=("driver", "front_passenger"), joints=("head",), model="m",
+    )  # fmt: skip
+    places = joint_places(dataset, model, "head", ("driver", "front_passenger"), EvaluationOptions())
+    assert (places.axes, places.rows.tolist()) == ("xyz", [0, 0, 1, 1, 2])
+    np.testing.assert_allclose(places.where[:2], [(2.0, -0.1, -0.2), (2.1, -0.3, -0.2)])
+    np.testing.assert_allclose(places.error, [5, 5, np.inf, np.inf, 5], rtol=1e-5)
+    chart = places_chart(places, "head", 10.0)
+    assert [[row[:2] for row in series["data"]][1] for series in chart["series"]] == [[2.1, -0.3], [2.1, -0.2]]
+    flat = joint_places(dataset, replace(model, joints_3d=np.full_like(given, np.nan)), "head", ("driver",), EvaluationOptions())
+    assert (flat.axes, len(flat.rows)) == ("uv", 3)
+    np.testing.assert_allclose(flat.error, [5, np.inf, 5], rtol=1e-5)
 
 
 def test_skeletons_have_the_limbs_whose_ends_are_there() -> None:

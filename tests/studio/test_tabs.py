@@ -14,6 +14,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+import yaml
 from fastapi import APIRouter, FastAPI
 from nicegui import ui
 from nicegui.elements.upload_files import SmallFileUpload
@@ -137,7 +138,7 @@ def test_frame_in_which_nobody_is_found_is_the_worst(workspace: Workspace) -> No
 def test_dataset_tab_goes_from_the_worst_frame_to_its_labels(workspace: Workspace) -> None:
     async def steps(user: User) -> None:
         marked(user, "error of").set_value("oracle")
-        await user.should_see("27.0 cm")
+        await user.should_see(kind=ui.number, content="over, cm")
         await user.should_see("frame 3")
         user.find(kind=ui.number, content="over, cm").elements.pop().set_value(6.5)
         await user.should_see("3 of 6 frames")
@@ -264,7 +265,28 @@ def test_two_predictions_of_one_model_are_two(workspace: Workspace) -> None:
 
     async def steps(user: User) -> None:
         user.find("Compare", kind=ui.tab).click()
-        await user.should_see("frame 3: 27.0, 54.0")
+        await user.should_see("frame 3: oracle 27.0 cm, oracle (2.jsonl) 54.0 cm")
+
+    used(workspace, steps)
+
+
+def test_frames_in_which_one_model_is_better_are_listed(workspace: Workspace) -> None:
+    """The worst frames of each of two, and those where the other is nearer; arrows and joints as well."""
+    workspace.predictions["other"] = off_by(workspace, [1.0, 30.0, 1.0, 30.0, 30.0, 30.0])
+
+    async def steps(user: User) -> None:
+        user.find("Compare", kind=ui.tab).click()
+        await user.should_see("frame 1: oracle")
+        marked(user, "worst of").set_value("worst:oracle")
+        await user.should_see("frame 3: oracle 27.0 cm, other 30.0 cm")
+        marked(user, "worst of").set_value("better:other|oracle")
+        await user.should_see("frame 0: oracle")
+        await user.should_not_see("frame 3: oracle")
+        marked(user, "worst of").set_value("seats:oracle")
+        await user.should_see("there are none")
+        await user.should_not_see(marker="places")
+        marked(user, "joint").set_value("lwrist")
+        await user.should_see(marker="places")
 
     used(workspace, steps)
 
@@ -508,7 +530,7 @@ def test_dataset_that_vanishes_is_told_and_comes_back(workspace: Workspace, data
         await user.should_see("this frame cannot be read: ")
         user.find("Compare", kind=ui.tab).click()
         user.notify.messages.clear()
-        user.find("frame 0: 3.0").click()
+        user.find("frame 0: 3.0 cm").click()
         await user.should_see("this frame cannot be read")
         await user.open("/")
         await user.should_see("What was opened cannot be read")
@@ -656,6 +678,43 @@ def test_a_camera_is_set_up_in_its_panel(extension: Callable[..., None]) -> None
         await user.should_see("integration_us is given twice", retries=100)
 
     used(Workspace(), steps)
+
+
+def test_a_start_that_fails_leaves_its_reason_and_no_picture(dataset_folder: Path, tmp_path: Path) -> None:
+    """And what is open stands in the settings of the source that takes it; what is seen is recorded line by line."""
+    (tmp_path / "scene.yaml").write_text("scene:\n  cars: [suv]\n")
+    workspace = open_workspace(dataset_folder)
+    workspace.scene = tmp_path / "scene.yaml"
+
+    async def steps(user: User) -> None:
+        user.find("Live", kind=ui.tab).click()
+        source, settings = marked(user, "source"), marked(user, "settings")
+        source.value = "synth"
+        await user.should_see("scenes=")
+        assert Path(yaml.safe_load(settings.value.removeprefix("scenes="))) == workspace.scene.resolve()
+        settings.value = "seed=1"
+        source.value = "simulated"
+        assert settings.value == "seed=1"  # what was typed stays
+        settings.value, source.value = "", str(dataset_folder)
+        user.find("record what is seen").click()
+        user.find("Start").click()
+        await user.should_see("recorded in live-", retries=100)
+        pictures = [each for each in user.find(kind=FrameCanvas).elements if "/live/" in each.props["url"]]
+        assert len(pictures) == 2
+        settings.value = "faults.rate_hz=-1"
+        user.find("Start").click()
+        await user.should_see("rate_hz", kind=ui.label, retries=100)
+        await asyncio.sleep(0.5)
+        await user.should_see("rate_hz", kind=ui.label)
+        assert {each.props["url"] for each in pictures} == {""}
+
+    used(workspace, steps)
+    (lines,) = tmp_path.glob("live-*.jsonl")
+    rows = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert [row["frame"] for row in rows] == sorted(row["frame"] for row in rows)
+    assert rows
+    assert {model["model"] for row in rows for model in row["models"]} == {"in_car"}
+    assert not list(tmp_path.glob("live-*.mcap"))  # it is recorded already
 
 
 def test_the_keys_of_a_tab_are_listed(workspace: Workspace) -> None:

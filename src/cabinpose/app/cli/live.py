@@ -21,8 +21,7 @@ from cabinpose.app.finite import finite
 from cabinpose.core import ConfigError, check_output
 
 if TYPE_CHECKING:
-    from cabinpose.app.live.feed import LiveFrame
-    from cabinpose.app.live.run import Found, Latency, Live, LiveStatus
+    from cabinpose.app.live.run import Latency, Live, LiveStatus
     from cabinpose.core import Predictor
 
 _REFRESH_S = 0.25
@@ -74,7 +73,7 @@ def run(command: LiveCommand) -> int:
 
     require("record")
     from cabinpose.app.live.choose import open_feed, parsed_settings
-    from cabinpose.app.live.run import Live
+    from cabinpose.app.live.run import Live, found_record
     from cabinpose.app.models import tell_drive_side
     from cabinpose.store import check_new_predictions
 
@@ -97,7 +96,7 @@ def run(command: LiveCommand) -> int:
         try:
             for frame, found in live.run(go_on):
                 if command.as_json:
-                    print(json.dumps(finite(_record(frame, found, live)), allow_nan=False), flush=True)
+                    print(json.dumps(finite(found_record(frame, found, live.models)), allow_nan=False), flush=True)
                 show(live)
         finally:
             feed.stop()
@@ -144,44 +143,6 @@ def _keeps(command: LiveCommand, feed: Any) -> bool:
     from cabinpose.app.live.feed import DatasetFeed
 
     return command.predictions is not None or isinstance(feed, DatasetFeed)
-
-
-def _record(frame: LiveFrame, found: tuple[Found, ...], live: Live) -> dict[str, Any]:
-    """A frame as a line of JSON."""
-    return {
-        "frame": frame.number,
-        "host_ns": frame.host_ns,
-        "models": [
-            {"model": f.model, "ms": round(f.ms, 3), "people": _people(f, model.persons, model.joints)}
-            | ({"error": f.error} if f.error else {})
-            | ({"reason": str(f.poses.reason[0])} if f.poses.reason[0] else {})
-            | ({"remarks": [*f.poses.remarks]} if f.poses.remarks else {})
-            for f, model in zip(found, live.models, strict=True)
-        ],
-    }
-
-
-def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> dict[str, Any]:
-    """Joints by person and name; those without an answer are left out."""
-    import numpy as np
-
-    poses, expected = found.poses, found.poses.expected_error_m[0]
-    there = np.isfinite(poses.joints_2d[0]).all(axis=-1) | np.isfinite(poses.joints_3d[0]).all(axis=-1)
-    return {
-        person: {
-            joint: {
-                "px": [round(float(x), 2) for x in poses.joints_2d[0, p, j]],
-                "m": [round(float(x), 4) for x in poses.joints_3d[0, p, j]],
-                "score": round(float(poses.score[0, p, j]), 4),
-                "presence": round(float(poses.presence[0, p, j]), 4),
-            }
-            | ({"expected_error_m": round(float(expected[p, j]), 4)} if np.isfinite(expected[p, j]) else {})
-            for j, joint in enumerate(joints)
-            if there[p, j]
-        }
-        for p, person in enumerate(persons)
-        if there[p].any()
-    }
 
 
 def _write_predictions(command: LiveCommand, live: Live) -> None:

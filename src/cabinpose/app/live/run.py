@@ -6,6 +6,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -182,3 +183,39 @@ class Live:
             persons=model.persons, joints=model.joints, model=model.name,
             skeleton=skeleton_of(model).name,
         )  # fmt: skip
+
+
+def found_record(frame: LiveFrame, found: Sequence[Found], models: Sequence[Predictor]) -> dict[str, Any]:
+    """What was found in a frame as plain data: a line of `live --json`, and of what the studio records."""
+    return {
+        "frame": frame.number,
+        "host_ns": frame.host_ns,
+        "models": [
+            {"model": f.model, "ms": round(f.ms, 3), "people": _people(f, model.persons, model.joints)}
+            | ({"error": f.error} if f.error else {})
+            | ({"reason": str(f.poses.reason[0])} if f.poses.reason[0] else {})
+            | ({"remarks": [*f.poses.remarks]} if f.poses.remarks else {})
+            for f, model in zip(found, models, strict=True)
+        ],
+    }
+
+
+def _people(found: Found, persons: tuple[str, ...], joints: tuple[str, ...]) -> dict[str, Any]:
+    """Joints by person and name; those without an answer are left out."""
+    poses, expected = found.poses, found.poses.expected_error_m[0]
+    there = np.isfinite(poses.joints_2d[0]).all(axis=-1) | np.isfinite(poses.joints_3d[0]).all(axis=-1)
+    return {
+        person: {
+            joint: {
+                "px": [round(float(x), 2) for x in poses.joints_2d[0, p, j]],
+                "m": [round(float(x), 4) for x in poses.joints_3d[0, p, j]],
+                "score": round(float(poses.score[0, p, j]), 4),
+                "presence": round(float(poses.presence[0, p, j]), 4),
+            }
+            | ({"expected_error_m": round(float(expected[p, j]), 4)} if np.isfinite(expected[p, j]) else {})
+            for j, joint in enumerate(joints)
+            if there[p, j]
+        }
+        for p, person in enumerate(persons)
+        if there[p].any()
+    }

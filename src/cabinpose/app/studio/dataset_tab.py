@@ -363,7 +363,7 @@ def _facts(frame: Any) -> list[tuple[str, str]]:
 def _bars(title: str, names: list[str], values: list[Any]) -> None:
     ui.echart(
         {
-            "title": {"text": title, "textStyle": {"fontSize": 13, "color": "#888"}},
+            "title": {"text": title, "textStyle": {"fontSize": 13}},
             "grid": {"left": 48, "right": 12, "top": 34, "bottom": 60},
             "tooltip": {"trigger": "axis"},
             "xAxis": {"type": "category", "data": names, "axisLabel": {"rotate": 40}},

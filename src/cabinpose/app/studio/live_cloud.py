@@ -37,9 +37,14 @@ class LiveCloud:
     async def _draw(self) -> None:
         """Draw the newest frame, and wait until the browser has."""
         shown = self._shown()
-        if shown is None or shown is self._drawn:
+        if shown is self._drawn:
             return
         self._drawn = shown
+        if shown is None:
+            for cloud in filter(None, (self._points, self._joints)):
+                cloud.delete()
+            self._points = self._joints = None
+            return
         points, colours = live_cloud(shown.frame.batch)
         self._points = self._put(self._points, points, colours / 255, 0.008)
         self._joints = self._put(self._joints, *skeletons(shown), 0.03)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from datetime import datetime
 from functools import partial
@@ -11,19 +12,22 @@ import numpy as np
 from nicegui import run, ui
 
 from cabinpose.app.live.choose import parsed_settings
-from cabinpose.app.studio.canvas import GREY, FrameCanvas
+from cabinpose.app.studio.canvas import GREY, IMAGE_KEYS, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.live_cloud import LiveCloud
 from cabinpose.app.studio.live_keep import keep, write_kept
+from cabinpose.app.studio.live_plot import LivePlot
 from cabinpose.app.studio.live_session import PRESENT, LiveRoom, LiveSession, Shown, image_of
 from cabinpose.app.studio.models import detectors
 from cabinpose.app.studio.tab import Page, Tab
+from cabinpose.app.studio.view3d import VIEW_KEYS
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError, ConfigError, Predictor, skeleton_of
 from cabinpose.estimate.remote import open_predictor
 from cabinpose.record.sources import SOURCES, cameras
 from cabinpose.record.sources.tof import adjustable, described
 
+_OF_SCENES = "synth"  # the kind of camera that sees what the generator makes
 _PERIOD_S = 0.1  # between looks for a new frame
 _LABELS = {
     "integration_us": "integration time, µs", "frame_rate_hz": "frame rate, Hz", "modulation_hz": "modulation frequency, Hz",
@@ -44,20 +48,23 @@ class LiveTab:
                     self._images = ui.row().classes("no-wrap").style("flex: 1; min-width: 0; gap: 10px; align-items: stretch")
                     with self._images:
                         with ui.element("div").classes("studio-pane"):
-                            self._depth = FrameCanvas(live=True)
+                            self._depth = FrameCanvas(live=True, on_pressed={" ": self._toggle, "k": self._keep})
                         with ui.element("div").classes("studio-pane"):
                             self._amplitude = FrameCanvas(live=True)
                     self._space = ui.element("div").classes("studio-pane").bind_visibility_from(self._cloud, "value")
+                plot = ui.row().classes("no-wrap w-full").style("height: 220px; flex: none; gap: 10px")
+                with plot.bind_visibility_from(self._plot, "value"):
+                    LivePlot(lambda: self._room.session, lambda: bool(self._plot.value) and self._room.frozen is None)
                 self._rates = ui.label("Choose a source and a model, then start.").mark("rates")
-                self._trouble = ui.label().style("color: #d33")
+                self._trouble = ui.label().classes("studio-trouble").mark("trouble")
         ui.timer(_PERIOD_S, self._look)
 
     def _build_side(self) -> None:
         opened = self._workspace.recording or self._workspace.folder
         sources = [*([str(opened)] if opened is not None else []), *cameras()]
-        self._source = (
-            ui.select(sources, value=sources[0], label="source").props("dense outlined").classes("w-full").mark("source")
-        )
+        begin = _OF_SCENES if opened is None and self._workspace.scene is not None else sources[0]
+        self._source = ui.select(sources, value=begin, label="source", on_change=self._prefill).props("dense outlined")
+        self._source.classes("w-full").mark("source")
         self._numbers = {
             key: ui.number(label, min=0, format="%g").props("dense outlined clearable").classes("w-full").mark(key)
             for key, label in _LABELS.items()
@@ -67,14 +74,18 @@ class LiveTab:
         self._settings = ui.textarea("settings, KEY=VALUE a line", placeholder="use_case=MODE_9_5FPS_2000").props(
             "dense outlined autogrow"
         )
-        self._settings.classes("w-full")
-        self._models = ui.select(
-            detectors(), value=["in_car"], label="models, or grpc://HOST:PORT/MODEL", multiple=True, new_value_mode="add-unique"
-        ).props("dense outlined use-chips")
+        self._settings.classes("w-full").mark("settings")
+        self._prefilled = ""
+        self._prefill()
+        self._models = ui.select(detectors(), value=["in_car"], label="models", multiple=True, new_value_mode="add-unique").props(
+            "dense outlined use-chips hint='or grpc://HOST:PORT/MODEL'"
+        )
         self._models.classes("w-full")
-        with ui.row().classes("no-wrap w-full").style("gap: 6px"):
-            self._recording = ui.checkbox("record meanwhile")
+        with ui.row().classes("w-full").style("gap: 0 6px"):
             self._cloud = ui.checkbox("cloud", on_change=self._show_cloud)
+            self._plot = ui.checkbox("joints over time")
+            self._recording = ui.checkbox("record what is seen")
+            self._recording.tooltip("from the start: joints as lines of JSON, and of a camera all that it says as a recording")
         with ui.row().classes("no-wrap w-full").style("gap: 6px"):
             self._start = ui.button("Start", icon="play_arrow", on_click=self._begin).props("dense no-caps").style("flex: 1")
             ui.button("Stop", icon="stop", on_click=self._end).props("dense no-caps outline").style("flex: 1")
@@ -87,20 +98,29 @@ class LiveTab:
         self._setup = ui.label().style("font-size: 13px").mark("setup")
         self._joints = ui.column().classes("w-full").style("gap: 0; font-size: 13px")
 
+    def _prefill(self) -> None:
+        """What is open, as the setting of the source that takes it; what somebody typed stays."""
+        if (self._settings.value or "") != self._prefilled:
+            return
+        thing = {_OF_SCENES: ("scenes", self._workspace.scene), "simulated": ("dataset", self._workspace.folder)}
+        key, path = thing.get(str(self._source.value), ("", None))
+        self._prefilled = f"{key}={json.dumps(str(path.resolve()), ensure_ascii=False)}" if path is not None else ""
+        self._settings.value = self._prefilled
+
     async def _begin(self) -> None:
+        """Start; a start that fails leaves no picture of the run before, and says why until the next one."""
         self._start.disable()
+        room = self._room
         try:
+            await run.io_bound(room.stop)
             settings = parsed_settings([line.strip() for line in str(self._settings.value or "").splitlines() if line.strip()])
             settings = _with_numbers(settings, {key: self._numbers[key].value for key in _keys_of(str(self._source.value))})
             names = list(self._models.value or ())
             models: list[Predictor] = await run.io_bound(lambda: [open_predictor(name) for name in names]) or []
-            self._room.stop()
-            record = self._workspace.root / f"live-{datetime.now():%Y%m%d-%H%M%S}.mcap" if self._recording.value else None  # noqa: DTZ005 - local
-            self._room.session = LiveSession(
-                str(self._source.value), settings, models, within=self._workspace.root, record=record
-            )
+            record = self._workspace.root / f"live-{datetime.now():%Y%m%d-%H%M%S}" if self._recording.value else None  # noqa: DTZ005 - local
+            room.session = LiveSession(str(self._source.value), settings, models, within=self._workspace.root, record=record)
         except CabinposeError as error:
-            ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000)
+            room.trouble = error.in_one_line()
         finally:
             self._start.enable()
 
@@ -159,12 +179,20 @@ class LiveTab:
         """Show the newest frame, and how the run does."""
         self._tell_buttons()
         session, shown = self._room.session, self._room.shown()
+        self._trouble.text = session.error if session is not None else self._room.trouble
         if session is not None:
-            self._trouble.text = session.error
             self._tell(session)
-        if shown is None or shown is self._drawn:
+        elif self._room.trouble:
+            self._rates.text = self._setup.text = ""
+        if shown is self._drawn:
             return
         self._drawn = shown
+        if shown is None:
+            for canvas in (self._depth, self._amplitude):
+                canvas.show("", near=0.0, far=1.0)
+                canvas.joints([], ())
+            self._joints.clear()
+            return
         frame = shown.frame
         depth = image_of(frame, "depth")
         valid = depth[np.isfinite(depth)]
@@ -183,7 +211,8 @@ class LiveTab:
         self._setup.text = f"camera: {', '.join(described(status.feed.setup))}" if status.feed.setup else ""
         late = f"{status.latency.p50:.0f} / {status.latency.p95:.0f} / {status.latency.p99:.0f} ms" if status.latency else "–"
         state = "" if session.running else "ended: "
-        recorded = f"; recording to {session.record}" if session.record is not None and session.running else ""
+        names = " and ".join(path.name for path in session.records)
+        recorded = f"; {'recording to' if session.running else 'recorded in'} {names}" if names else ""
         trouble = f"; {status.feed.error}" if status.feed.error else ""
         self._rates.text = (
             f"{state}{status.frames} frames, {status.rate_hz:.1f} a second; arrival to joints p50 / p95 / p99 {late}; "
@@ -244,4 +273,5 @@ def _build(page: Page) -> None:
     LiveTab(page.workspace, page.of_studio(LiveRoom), lambda: page.renew("Label"))
 
 
-TAB = Tab("Live", _build, shared=lambda _: LiveRoom())
+_KEYS = (("Space", "freeze, go on"), ("k", "keep the frame, to be labelled later"), *VIEW_KEYS, IMAGE_KEYS)
+TAB = Tab("Live", _build, _KEYS, shared=lambda _: LiveRoom())

@@ -107,6 +107,45 @@ def frame_errors(workspace: Workspace, opened: xr.Dataset, name: str, person: st
     return FrameErrors(frame_distances(samples, space, options).mean, "cm" if space == "3d" else "px")
 
 
+class JointPlaces(NamedTuple):
+    """Where a joint of people was, and how far a model was off there.
+
+    rows: (n,) frames · where: (n, 3) m in the vehicle's frame ("xyz") or (n, 2) px ("uv") · error: (n,) cm or px, infinite
+    where it was not found · axes: which of both.
+    """
+
+    rows: NDArray[np.int64]
+    where: NDArray[np.float64]
+    error: NDArray[np.float64]
+    axes: str
+
+
+def joint_places(
+    dataset: xr.Dataset, model: Predictions, joint: str, persons: Sequence[str], options: EvaluationOptions
+) -> JointPlaces:
+    """The places of a joint that counts of the people in some seats, and how far off a model's answer for the same seat is.
+
+    In space where both know it, else in the image.
+    """
+    batch, names = model.take(dataset["frame"].values), [str(name) for name in dataset["person"].values]
+    seats, theirs = ([among.index(person) for person in persons] for among in (names, list(model.persons)))
+    j, k = [str(name) for name in dataset["joint"].values].index(joint), list(model.joints).index(joint)
+    counts = dataset["visibility"].values[:, seats, j] >= options.min_visibility
+    found = batch.presence[:, theirs, k] >= options.presence
+    true, given = dataset["joints_3d"].values[:, seats, j].astype(float), batch.joints_3d[:, theirs, k].astype(float)
+    in_space = bool(np.isfinite(true[counts]).all() and np.isfinite(given[found]).any())
+    if not in_space:
+        true, given = dataset["joints_2d"].values[:, seats, j].astype(float), batch.joints_2d[:, theirs, k].astype(float)
+    error = np.linalg.norm(given - true, axis=-1) * (100 if in_space else 1)
+    error = np.where(found & np.isfinite(error), error, np.inf)
+    rows, at = np.nonzero(counts & np.isfinite(true).all(axis=-1))
+    where = true[rows, at]
+    if in_space and len(rows):
+        frames = dataset["vehicle_from_camera"].values[rows].astype(float)  # (n, 4, 4)
+        where = np.einsum("nij,nj->ni", frames[:, :3, :3], where) + frames[:, :3, 3]
+    return JointPlaces(rows, where, error[rows, at], "xyz" if in_space else "uv")
+
+
 def worst_first(d: NDArray[np.float64]) -> NDArray[np.int64]:
     """Rows by falling error, frames without one at the end."""
     return np.argsort(-np.where(np.isnan(d), -1.0, d), kind="stable")

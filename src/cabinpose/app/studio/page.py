@@ -22,6 +22,14 @@ body { font-family: system-ui, sans-serif; }
 .studio-pane { flex: 1; min-width: 0; min-height: 0; border-radius: 6px; overflow: hidden; background: #1b1e24; }
 .frame-canvas > div:empty { display: none; }
 .frame-canvas { outline: none; } .frame-canvas:focus-visible { outline: 2px solid #4f9fd8; outline-offset: -2px; }
+body { --ink: #111; --edge: #767676; } body.body--dark { --ink: #eee; --edge: #8c8c8c; --q-primary: #74b6e6 !important; }
+@layer theme { .body--dark .bg-primary { background: #2f6f9f !important; } } /* the first layer's outdoes Quasar's */
+.q-field--outlined .q-field__control:before { border-color: var(--edge) !important; }
+.q-slider__track { background: var(--edge) !important; } .q-checkbox__bg, .q-toggle__track { opacity: 1; }
+.q-field__label, .q-field__native::placeholder { color: var(--ink) !important; opacity: .75; }
+:focus-visible { outline: 2px solid var(--q-primary); outline-offset: 1px; } .q-header :focus-visible { outline-color: #fff; }
+.studio-trouble { color: #b3261e; } .body--dark .studio-trouble { color: #ff9c91; }
+.q-notifications__list--bottom { bottom: 56px; } /* above the line that says how it goes */
 .studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
 .studio-joint { gap: 8px; font-size: 13px; padding: 1px 6px; border-radius: 4px; cursor: pointer; }
 .studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
@@ -31,6 +39,7 @@ body { font-family: system-ui, sans-serif; }
 .studio-facts { font-size: 13px; } .studio-facts div { display: flex; gap: 8px; }
 .studio-facts span { min-width: 0; overflow-wrap: anywhere; }
 .studio-facts span:first-child { min-width: 90px; opacity: .7; }
+.studio-frames .q-btn__content { text-align: left; }
 .studio-news { gap: 4px; padding: 6px 8px; border-radius: 4px; background: #c9820033; }
 .q-tab-panel { padding: 0; overflow: hidden; }
 """
@@ -54,6 +63,30 @@ _REMEMBER = """
 }
 """
 
+# Charts are canvases, which no style reaches. A change of theme is one of the body's class.
+_CHARTS = """
+if (!window.studioCharts) {
+  const look = (ink, soft, line, back) => {
+    const axis = { axisLine: { lineStyle: { color: soft } }, axisTick: { lineStyle: { color: soft } }, axisLabel: { color: ink },
+      splitLine: { lineStyle: { color: line } }, nameTextStyle: { color: ink } };
+    return { textStyle: { color: ink }, title: { top: 0, textStyle: { color: ink } }, categoryAxis: axis, valueAxis: axis,
+      legend: { itemGap: 8, textStyle: { color: ink }, inactiveColor: soft }, visualMap: { textStyle: { color: ink } },
+      tooltip: { backgroundColor: back, borderColor: soft, textStyle: { color: ink } }, boxplot: { itemStyle: { color: back } } };
+  };
+  const looks = { light: look("#222", "#767676", "#ddd", "#fff"), dark: look("#ddd", "#8c8c8c", "#3a3a3a", "#1d1d1d") };
+  const worn = new WeakMap();
+  window.studioCharts = () => {
+    const name = document.body.classList.contains("body--dark") ? "dark" : "light";
+    for (const box of document.querySelectorAll(".nicegui-echart")) {
+      const chart = getElement(box)?.chart;
+      if (chart && worn.get(chart) !== name) { worn.set(chart, name); chart.setTheme(looks[name]); }
+    }
+  };
+  new MutationObserver(studioCharts).observe(document.body, { attributes: true, attributeFilter: ["class"] });
+  setInterval(studioCharts, 200); // charts that are new
+}
+"""
+
 TABS = (scene_tab.TAB, dataset_tab.TAB, label_tab.TAB, compare_tab.TAB, live_tab.TAB)  # in the order of the bar
 
 
@@ -65,11 +98,12 @@ def shared_by(workspace: Workspace) -> list[Shared]:
 def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping[str, str], window: str) -> None:
     """Build the page for one browser. address, window: see `Page`."""
     ui.add_css(_STYLE)
-    dark = ui.dark_mode(value=None)
+    dark = ui.dark_mode(value={"light": False, "dark": True}.get(address.get("theme", "")))
     shown = workspace.key
     panels: dict[str, ui.tab_panel] = {}
     client = ui.context.client
     client.run_javascript(_REMEMBER)
+    client.run_javascript(_CHARTS)
 
     def remember(words: Mapping[str, object]) -> None:
         client.run_javascript(f"studioRemember({json.dumps({name: str(word) for name, word in words.items()})})")
@@ -97,6 +131,12 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
         if tab:
             bar.value = tab
 
+    async def other_theme() -> None:
+        """From what is seen: at first the browser chooses."""
+        now = bool(await client.run_javascript("document.body.classList.contains('body--dark')"))
+        dark.set_value(not now)
+        remember({"theme": "light" if now else "dark"})
+
     def list_keys() -> None:
         _list_keys(str(bar.value))
 
@@ -107,10 +147,8 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
             for tab in TABS:
                 ui.tab(tab.name)
         opened = ui.label(_opened(workspace)).classes("studio-opened")
-        ui.button(icon="keyboard", on_click=list_keys).props("flat round dense color=white").tooltip("Keys: ?")
-        ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat round dense color=white").tooltip(
-            "Light or dark"
-        )
+        for icon, name, what in (("keyboard", "Keys: ?", list_keys), ("contrast", "Light or dark", other_theme)):
+            ui.button(icon=icon, on_click=what).props(f"flat round dense color=white aria-label='{name}'").tooltip(name)
     page = Page(workspace, shared, bar.set_value, renew, lambda: bar.value, address, window, remember)
     first = page.remembered("tab", [tab.name for tab in TABS]) or _first(workspace)
     with ui.tab_panels(bar, value=first, keep_alive=True, animated=False).classes("w-full"):
