@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import math
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -17,10 +18,13 @@ import trimesh
 import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from scipy.spatial import cKDTree
 
 from cabinpose.app.studio.scene_bodies import _outermost
-from cabinpose.app.studio.scene_edit import Preview, SceneEditor, Shown, State, camera_of, read_state
-from cabinpose.app.studio.scene_form import Field, form, with_changed_preset
+from cabinpose.app.studio.scene_dimensions import dimension_lines
+from cabinpose.app.studio.scene_edit import SceneEditor, State, read_state
+from cabinpose.app.studio.scene_form import Field, axis_words, form, with_changed_preset
+from cabinpose.app.studio.scene_preview import Preview, Shown, camera_of
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import is_rigid
@@ -28,7 +32,7 @@ from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene import Surface
 from cabinpose.scene.body import DOFS
 from cabinpose.scene.body.rig import BONE_INDEX, LOWER, UPPER
-from cabinpose.scene.cabin import build_cabin
+from cabinpose.scene.cabin import PRESET_DIMENSIONS, CabinDimensions, build_cabin
 from cabinpose.scene.cabin.car_draft import draft_car_file
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.store import open_dataset
@@ -387,6 +391,83 @@ def test_room_is_shown_and_not_accepted(tmp_path: Path, preview: Preview) -> Non
         editor.accept(shown)
 
 
+def test_accept_tells_what_it_lets_go(editor: SceneEditor, preview: Preview) -> None:
+    """Every key that somebody gave and that the accepted scene has no more, and nothing else."""
+    editor.set(("scene", "occupants", "driver"), {"subject": "S03", "profile": {"kind": "gaussian", "axes": {}}})
+    for key, value in (("in_hand", 0.5), ("belted", 0.25)):
+        editor.set(("scene", key), value)
+    editor.set(("limits", "poses_per_person"), 77)
+    editor.set(("noise", "blur"), 0.2)
+    editor.set(("camera", "jitter_m"), 0.01)
+    shown = draw(preview, editor)
+    told = editor.let_go(shown)
+    assert {"scene.in_hand: 0.5", "scene.belted: 0.25", "camera.jitter_m: 0.01"} <= set(told)
+    assert any(words.startswith("scene.occupants.driver.profile") for words in told)
+    assert not any(words.startswith(("limits", "noise", "scene.cars", "scene.occupants.driver.subject")) for words in told)
+    before = editor.state
+    editor.accept(shown)
+    kept = editor.config
+    assert (kept.limits.poses_per_person, kept.noise.blur) == (77, 0.2)  # type: ignore[union-attr]
+    assert editor.let_go(draw(preview, editor)) == []
+    editor.undo()
+    assert editor.state == before
+
+
+def test_conflicts_stand_at_their_keys(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    editor, shown = accepted
+    assert editor.conflicts(shown, "") == []
+    driver = next(person for person in shown.scene.people if person.slot == "driver")
+    editor.move_hand(shown, "driver", "r", driver.posed.joints[[_joint("rpelvis"), _joint("rknee")]].mean(axis=0))
+    colliding = draw(preview, editor)
+    editor.set(("noise", "blur"), 3.0)
+    editor.move_camera(colliding, position=(0.4, 0.0, 1.1), target=(-1.0, 0.0, 0.6))
+    told = editor.conflicts(draw(preview, editor), "no scene was found")
+    assert [key for key, _ in told][:3] == [("noise", "blur"), ("scene",), ("scene", "occupants", "driver")]
+    assert "mm deep" in dict(told)["scene", "occupants", "driver"]
+    editor.set(("noise", "blur"), 0.1)
+    assert ("camera", "views") in dict(editor.conflicts(draw(preview, editor), ""))
+
+
+def test_names_are_words_with_the_codes_of_the_standard() -> None:
+    """The codes are those that the dimensions' own table has."""
+    fields = by_path({**SUV, "scene": {"kind": "cabin", "cars": [MINE], "occupants": {"driver": {"initial_pose_deg": {}}}}})
+    schema = CabinDimensions.model_json_schema()["properties"]
+    for name, part in schema.items():
+        if "code" in part:
+            assert fields[f"scene.cars.0.{name}"].words.endswith(f" ({part['code']})")
+    assert fields["scene.cars.0.h30_mm"].words == "seat height (H30-1)"
+    assert (fields["scene.people_jitter_m"].words, fields["scene.cars.0"].words) == ("people jitter", "my_suv")
+    assert [axis_words(name) for name in ("lelbow.flexion", "rhand.grip", "lumbar.flexion", "head.rotation")] == [
+        "left elbow flexion", "right hand grip", "lumbar flexion", "head rotation",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("car", ["sedan", "van", "coupe"])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_dimension_lines_are_as_long_as_the_dimension_and_end_at_the_car(car: str, side: Literal["left", "right"]) -> None:
+    cabin, d = build_cabin(car, drive_side=side), PRESET_DIMENSIONS[car].model_dump()
+    driver, wheel = cabin.seats["driver"], cabin.steering_wheel
+    behind = cabin.seats["rear_left"]
+    assert wheel is not None
+    lines = {name: dimension_lines(cabin, name, d[name]) for name in d if isinstance(d[name], float)}
+    for name, found in lines.items():
+        if len(found) == 1:
+            assert np.linalg.norm(np.subtract(*found[0])) == pytest.approx(d[name] / 1000), name
+        elif found:
+            (at, one), (_, other) = found
+            cosine = (one - at) @ (other - at) / np.linalg.norm(one - at) / np.linalg.norm(other - at)
+            assert math.degrees(math.acos(cosine)) == pytest.approx(d[name], abs=0.01), name
+    ends = {
+        "h30_mm": driver.design_h_point, "l53_mm": driver.design_h_point * (1, 1, 0), "w20_mm": driver.design_h_point,
+        "h30_2_mm": behind.design_h_point, "w20_2_mm": behind.design_h_point, "h17_mm": wheel.vehicle_from_wheel[:3, 3],
+    }  # fmt: skip
+    for name, end in ends.items():
+        np.testing.assert_allclose(lines[name][0][1], end, atol=1e-6, err_msg=name)
+    np.testing.assert_allclose(lines["l50_mm"][0][1][0], behind.design_h_point[0], atol=1e-6)
+    assert len([name for name, found in lines.items() if found]) == 22
+    assert dimension_lines(build_cabin("shuttle"), "h30_mm", 300.0) == []
+
+
 # -------------------------------------------------------------------------------------------------------------- files
 
 
@@ -694,6 +775,24 @@ def test_everything_that_the_camera_sees_is_drawn(with_things: tuple[SceneEditor
         np.sort(rendered.vertices[rendered.faces.ravel()], axis=0),
         atol=1e-4,
     )
+    room.stop()
+
+
+def test_cabin_far_away_is_coarser_and_the_same(with_things: tuple[SceneEditor, Shown]) -> None:
+    """Every corner is a vertex of the fine form, and none of these is farther from one than a cell is wide."""
+    _, shown = with_things
+    room = SceneRoom(None)
+    body = room.bodies(shown)["cabin"]
+    shape = np.frombuffer(fetched(room, body["shape"]), "<u4")
+    groups, looks = int(shape[0]), len(body["looks"])
+    assert groups == 2 * looks
+    lengths = shape[1 : 1 + groups].reshape(2, looks).sum(axis=1)
+    assert lengths[0] == 3 * len(shown.scene.backdrop.faces)
+    assert 1000 < lengths[1] < 0.6 * lengths[0]
+    coarse = shown.scene.backdrop.vertices[shape[1 + groups + lengths[0] :]]
+    fine = cKDTree(shown.scene.backdrop.vertices)
+    np.testing.assert_allclose(coarse.min(axis=0), shown.scene.backdrop.vertices.min(axis=0), atol=0.06)
+    assert cKDTree(coarse).query(fine.data)[0].max() < 0.06 * math.sqrt(3)
     room.stop()
 
 

@@ -7,14 +7,16 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from cabinpose.store import open_dataset
+from cabinpose.synth import SceneSampler, SynthConfig, frame_rng
 
 _RECORDER = """
 window.drawn = [];
@@ -81,7 +83,7 @@ def test_change_undo_save_and_open(studio: Any, scene: Path) -> None:
     assert changed != before
     studio.wait_for_timeout(1200)  # what follows is another step of undo
     assert after(studio, lambda: field.fill("3")) == changed  # the last valid one stays
-    studio.get_by_text("noise.blur: must be less than or equal to 0.25").wait_for()
+    studio.get_by_role("status").get_by_text("noise.blur: must be less than or equal to 0.25").wait_for()
     assert after(studio, press(studio, "Undo")) == changed
     studio.get_by_text("holds: nothing collides").wait_for()
     assert after(studio, press(studio, "Undo")) == before
@@ -132,13 +134,13 @@ def test_accept_and_move_a_joint_until_it_collides(studio: Any) -> None:
     assert after(studio, press(studio, "Accept")) == drawn
     studio.get_by_role("tab", name="People").click()
     studio.get_by_text("driver: S03").click()
-    row = studio.get_by_text("relbow.flexion", exact=True).locator("xpath=..")
+    row = studio.get_by_text("right elbow flexion", exact=True).locator("xpath=..")
     slider = row.locator(".q-slider")
     slider.scroll_into_view_if_needed()
     box = slider.bounding_box()
     slider.click(position={"x": box["width"] - 1, "y": box["height"] / 2})  # once it stands still
     row.get_by_text(re.compile(r"1(4[5-9]|50)\.\d °")).wait_for()
-    studio.get_by_text(re.compile(r"driver: .* in .* mm deep at")).wait_for()
+    studio.get_by_role("status").get_by_text(re.compile(r"driver: .* in .* mm deep at")).wait_for()
     studio.get_by_role("button", name="Undo").click()
     studio.get_by_text("holds: nothing collides").wait_for()
 
@@ -241,3 +243,132 @@ def test_new_scene_is_begun(page: Any, start: Callable[..., Any]) -> None:
     page.get_by_role("tab", name="Scene").click()
     page.get_by_role("button", name="Begin a new one here").click()
     page.get_by_text("holds: nothing collides").wait_for()
+
+
+# ----------------------------------------------------------------------------------------------------- by keys alone
+
+
+@pytest.fixture
+def three(page: Any, start: Callable[..., Any], tmp_path: Path) -> Iterator[Any]:
+    """The page of a studio with three people, a child seat and things in hands; what the console says fails the test."""
+    path = tmp_path / "three.yaml"
+    path.write_text(
+        "# seed 5, frame 0\nscene:\n  cars: [{preset: suv, name: mine}]\n  occupancy: {}\n  child_seats: {rear_left: infant}\n"
+        "  in_hand: 1.0\n  occupants:\n    driver: {subject: S03}\n    front_passenger: {subject: S05, action: phone_text}\n"
+        "    rear_right: {subject: S11, action: drink}\n"
+    )
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text) if message.type in ("error", "warning") else None)
+    page.on("request", lambda asked: said.append(asked.url) if "127.0.0.1" not in asked.url and "http" in asked.url else None)
+    page.on("response", lambda answer: said.append(f"{answer.status} {answer.url}") if answer.status >= 400 else None)
+    page.add_init_script(_RECORDER)
+    page.goto(start(path).address)
+    page.get_by_text("holds: nothing collides").wait_for()
+    page.wait_for_function(f"drawn.length >= {PANES}")
+    yield page
+    assert [words for words in said if "GPU stall" not in words] == []
+
+
+def tab_to(page: Any, what: str, *, back: bool = False) -> None:
+    """Press Tab until what has the keyboard is, or is in, what a selector finds."""
+    for _ in range(150):
+        page.keyboard.press("Shift+Tab" if back else "Tab")
+        if page.evaluate("what => !!document.activeElement.closest(what)", what):
+            return
+    pytest.fail(f"Tab does not reach {what}")
+
+
+def bodies(page: Any) -> dict[str, Any]:
+    """What the 3D view shows: the scene's number, and by name the corners of triangles of each body, as its shader takes them."""
+    return page.evaluate("""() => {
+      const view = getElement(document.querySelector('.nicegui-scene').id.slice(1));
+      const shown = [...view.objects.values()].map((o) => o.component).find((c) => c?.bodies);
+      const result = {};
+      for (const [name, { object, geometries: [fine] }] of shown.bodies) {
+        object.updateMatrixWorld();
+        const at = fine.attributes.position, corner = object.position.clone(), sum = [0, 0, 0], index = fine.index;
+        for (let i = 0; i < index.count; i++)
+          object.localToWorld(corner.fromBufferAttribute(at, index.getX(i))).toArray().forEach((x, k) => { sum[k] += x; });
+        result[name] = [index.count, ...sum.map((x) => x / index.count)];
+      }
+      return { number: shown.mesh.userData.number, bodies: result };
+    }""")
+
+
+def expected(path: Path, seed: int = 5) -> dict[str, list[float]]:
+    """The same of what the generator makes of a file."""
+    scene = SceneSampler(SynthConfig.load(path), seed).sample(0, rng=frame_rng(seed, 0))
+    parts = {"cabin": [scene.backdrop], **{person.slot: person.surfaces for person in scene.people}}
+    parts |= {f"{thing.thing.kind}:{thing.slot}:{i}": [thing.surface(0)] for i, thing in enumerate(scene.things)}
+    corners = {name: np.concatenate([s.vertices[s.faces.ravel()] for s in surfaces]) for name, surfaces in parts.items()}
+    return {name: [len(each), *each.mean(axis=0, dtype=np.float64).tolist()] for name, each in corners.items()}
+
+
+@pytest.mark.slow
+def test_child_seat_is_changed_saved_and_opened_by_keys_alone(three: Any, tmp_path: Path) -> None:
+    before = last_images(three)
+    shown = bodies(three)["bodies"]
+    assert {name: pytest.approx(body, abs=1e-4) for name, body in expected(tmp_path / "three.yaml").items()} == shown
+    three.keyboard.press("/")
+    three.keyboard.type("child_seats.rear_left")
+    three.wait_for_timeout(800)
+    tab_to(three, "[data-key='scene.child_seats.rear_left']")
+    three.keyboard.press("Enter")  # opens the group
+    tab_to(three, "[data-key='scene.child_seats.rear_left'] [role=combobox][aria-label='rear left']")
+    changed = after(
+        three, lambda: [three.keyboard.press("Control+a"), three.keyboard.type("booster"), three.keyboard.press("Enter")]
+    )
+    assert changed != before
+    now = bodies(three)["bodies"]
+    assert "booster:rear_left:0" in now
+    three.keyboard.press("Control+s")
+    three.get_by_label("file name").wait_for()
+    three.wait_for_timeout(300)
+    three.keyboard.press("Control+a")
+    three.keyboard.type("four.yaml")
+    three.keyboard.press("Enter")
+    three.get_by_text("saved four.yaml").wait_for()
+    assert yaml.safe_load((tmp_path / "four.yaml").read_text())["scene"]["child_seats"] == {"rear_left": "booster"}
+    assert {name: pytest.approx(body, abs=1e-4) for name, body in expected(tmp_path / "four.yaml").items()} == now
+    for name, images in (("three.yaml", before), ("four.yaml", changed)):
+        three.keyboard.press("Control+o")
+        three.get_by_text("Configurations in").wait_for()
+        three.wait_for_timeout(500)
+        for _ in range(3):
+            if three.evaluate("document.activeElement.innerText.trim()") == name:
+                break
+            three.keyboard.press("Tab")
+        assert after(three, lambda: three.keyboard.press("Enter")) == images
+
+
+@pytest.mark.slow
+def test_joint_is_moved_and_undone_by_keys_alone(three: Any) -> None:
+    """Accept says what it lets go; sliders go to their ends; undo leaves groups, place and keyboard where they are."""
+    three.keyboard.press("a")
+    three.get_by_text("scene.in_hand: 1.0").wait_for()
+    three.wait_for_timeout(400)
+    three.keyboard.press("Enter")
+    three.get_by_text("Accept writes").wait_for(state="hidden")
+    three.wait_for_timeout(1000)
+    tab_to(three, ".studio-side [role=tab]")
+    three.keyboard.press("ArrowRight")
+    three.keyboard.press("Enter")
+    three.get_by_text("driver: S03").wait_for()
+    three.wait_for_timeout(500)  # the panel has slid in
+    tab_to(three, ".studio-group .q-item")
+    three.keyboard.press("Enter")
+    three.locator("[data-axis='driver lelbow.flexion']").wait_for()
+    tab_to(three, "[data-axis='driver lelbow.flexion']")
+    words = three.get_by_text("left elbow flexion", exact=True).locator("xpath=..")
+    start = words.inner_text()
+    at = last_images(three)
+    moved = after(three, lambda: three.keyboard.press("Shift+ArrowRight"))
+    assert moved != at
+    assert after(three, lambda: three.keyboard.press("End")) != moved
+    words.get_by_text("150.0 °").wait_for()
+    three.locator(".studio-conflicts button").first.wait_for()
+    for images in (moved, at):
+        assert after(three, lambda: three.keyboard.press("Control+z")) == images
+    assert words.inner_text() == start
+    assert three.evaluate("!!document.activeElement.closest(\"[data-axis='driver lelbow.flexion']\")")
+    assert three.locator(".studio-conflicts button").count() == 0

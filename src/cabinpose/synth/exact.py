@@ -81,7 +81,9 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         camera=config.camera.model_copy(update={"views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),
         noise=config.noise,
         images=config.images,
+        style=config.style,
         output=config.output,
+        limits=config.limits,
     )
 
 

@@ -29,8 +29,8 @@ _HIDING = ("trim", "glass", "floor", "wall")  # what stands between the people a
 _GHOST, _SOLID = 0.13, 1.0  # opacity of what one looks through from outside, and of the rest
 _CELL_M, _OUTERMOST_M = 0.03, 0.08  # of the columns in which the outermost is sought; what lies less below it is it as well
 _FACING = 0.5  # of a face's normal along an axis that it faces
-_COARSE_M = 0.04  # side of the cells in which a cabin has one vertex, where it is far away
-FINE_WITHIN_M = 6.0  # from the eye to the middle of a cabin that is drawn with every triangle
+_COARSE_M = 0.06  # side of the cells in which a cabin has one vertex, where it is far away
+FINE_WITHIN_M = 8.0  # from the eye to the middle of a cabin that is drawn with every triangle
 MOST_FINE = 150_000  # triangles of a mesh that is drawn with every one, near by as well
 _LEVELS = 32767  # of a coordinate, of both sides of the middle
 

@@ -4,6 +4,7 @@ import { THREE, CSS2DObject } from "nicegui-scene";
 
 const kept = new Map(); // url -> promise of bytes
 const MOST_KEPT = 80;
+const MEASURED = "#5ee0ff";
 const MIDDLE_AND_STEP = 16; // bytes
 
 function bytes_of(url) {
@@ -97,8 +98,8 @@ export default class SceneBodies {
     this.bodies.delete(name);
   }
 
-  mark({ lines, balls, words }) {
-    const key = JSON.stringify([lines, balls, words]);
+  mark({ lines, balls, measures, words }) {
+    const key = JSON.stringify([lines, balls, measures, words]);
     if (key === this.marked) return;
     this.marked = key;
     for (const each of [...this.marks.children]) { each.removeFromParent(); each.geometry?.dispose(); each.material?.dispose(); }
@@ -112,12 +113,26 @@ export default class SceneBodies {
       ball.position.set(...place);
       this.marks.add(ball);
     }
+    for (const ends of measures) {
+      const points = ends.map((end) => new THREE.Vector3(...end)), along = points[1].clone().sub(points[0]);
+      const material = new THREE.MeshBasicMaterial({ color: MEASURED, depthTest: false, transparent: true });
+      const bar = new THREE.Mesh(new THREE.CylinderGeometry(0.006, 0.006, along.length()), material);
+      bar.position.copy(points[0]).addScaledVector(along, 0.5);
+      bar.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.normalize());
+      const caps = points.map((end) => {
+        const cap = new THREE.Mesh(new THREE.SphereGeometry(0.016, 12, 8), material);
+        cap.position.copy(end);
+        return cap;
+      });
+      for (const each of [bar, ...caps]) { each.renderOrder = 1; this.marks.add(each); }
+    }
     for (const [text, place] of words) {
       const element = document.createElement("div");
       element.className = "studio-dimension";
       element.textContent = text;
       const label = new CSS2DObject(element);
       label.position.set(...place);
+      label.center.set(-0.06, 0.5); // beside the line
       this.marks.add(label);
     }
   }

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,28 +15,19 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from threadpoolctl import threadpool_limits
 
 from cabinpose.app.studio.scene_form import Path as Key
-from cabinpose.core import CabinposeError, ConfigError, Matrix, SceneError, invert, nearest_rigid, read_yaml, write_whole
+from cabinpose.app.studio.scene_preview import Posed, Shown, camera_of, words_of
+from cabinpose.core import ConfigError, Matrix, invert, nearest_rigid, read_yaml, write_whole
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.cabin import SeatSetting, read_car_file
 from cabinpose.synth import (
     CabinScene,
     Camera,
-    CameraPose,
-    Frame,
-    FrameMaker,
-    Scene,
-    SceneSampler,
     SynthConfig,
-    Verdict,
     check_seed,
     exact_scene,
-    frame_rng,
     is_car_file,
-    judge_place,
-    noise_rng,
     without_defaults,
 )
 from cabinpose.synth.posture import hand_to
@@ -46,6 +36,8 @@ _SAME_STEP_S = 1.0  # changes of one key that follow so close are one step of un
 _MOST_STEPS = 200
 _REMEMBERED = re.compile(r"^# seed (\d+), frame (\d+)$", re.MULTILINE)
 _MESH_KEY = re.compile(r"^mesh:", re.MULTILINE)
+_OF_SEATS = ("occupants", "child_seats", "objects")  # keys of a scene by seat, as a conflict is told
+_SHORT = 80  # letters of a value that is told
 _ROUND_M = 3  # digits of a dragged place: a millimetre
 _EMPTY: dict[str, Any] = {"scene": {"kind": "cabin"}, "noise": {"kind": "physical"}}
 
@@ -57,31 +49,6 @@ class State:
     data: dict[str, Any]
     seed: int = 0
     index: int = 0
-
-
-@dataclass(frozen=True)
-class Posed:
-    """A scene as it was posed, before its camera has looked at it.
-
-    number: tells it from every other · verdicts: why it does not hold, () where it does · error: why none was found; then it is
-    the scene before · depth_m: what the middle of the image shows, as far as it is known · seconds: what that took, by stage.
-    """
-
-    number: int
-    config: SynthConfig
-    scene: Scene
-    verdicts: tuple[Verdict, ...] = ()
-    error: str = ""
-    depth_m: float = 1.0
-    seconds: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shown(Posed):
-    """A scene as it was drawn, with the frame that its camera delivers. doubts: what speaks against the camera's place."""
-
-    frame: Frame
-    doubts: tuple[str, ...] = ()
 
 
 class SceneEditor:
@@ -139,6 +106,31 @@ class SceneEditor:
     def accept(self, shown: Posed) -> None:
         """Keep the scene that is shown as it is: everybody's pose and the camera's. Raises ConfigError for rooms."""
         self._step(dataclasses.replace(self.state, data=without_defaults(exact_scene(shown.config, shown.scene))), ())
+
+    def let_go(self, shown: Posed) -> list[str]:
+        """What was given and would be no more once the scene that is shown is accepted, `key: value` each.
+
+        Raises ConfigError for rooms.
+        """
+        before, after = shown.config.model_dump(mode="json"), exact_scene(shown.config, shown.scene).model_dump(mode="json")
+        default = SynthConfig().model_dump(mode="json")
+        return [f"{'.'.join(key)}: {_short(value)}" for key, value in _given(before, default) if _at(after, key) != value]
+
+    def conflicts(self, posed: Posed | None, error: str) -> list[tuple[Key, str]]:
+        """What is wrong, each with the key that it belongs to: with what was typed, and with the scene that comes of it.
+
+        error: why nothing could be drawn, "" where something was.
+        """
+        found = list(self.errors.items())
+        if error:
+            found.append((("scene",), error))
+        for verdict in posed.verdicts if posed is not None else ():
+            slot = verdict.rejection.slot if verdict.rejection is not None else ""
+            of_slot = [("scene", name, slot) for name in _OF_SEATS if slot in (self.state.data["scene"].get(name) or ())]
+            found.append((of_slot[0] if of_slot else ("scene",) if slot else ("camera", "views"), words_of(verdict)))
+        if isinstance(posed, Shown):
+            found += [(("camera", "views"), doubt) for doubt in posed.doubts]
+        return found
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -342,99 +334,32 @@ def read_state(path: Path) -> State:
     return State(data, seed, index)
 
 
-class Preview:
-    """Draws scenes, with the people and cars of the scene before. Belongs to one thread at a time."""
-
-    def __init__(self) -> None:
-        self._sampler: SceneSampler | None = None
-        self._written: dict[Path, int] = {}
-        self.shown: Shown | None = None
-        self._number, self._noise = 0, (0, 0)
-
-    def pose(self, config: SynthConfig, seed: int, index: int) -> Posed:
-        """Where everything is in a scene, before its camera looks at it. Raises CabinposeError where there is nothing to show."""
-        started = time.perf_counter()
-        with threadpool_limits(1):  # as in `synth`: the bytes may depend on the libraries' number of threads
-            written = {car: car.stat().st_mtime_ns for car in own_cars(config) if car.exists()}  # one that changed is loaded anew
-            sampler = SceneSampler(config, seed, like=self._sampler if self._written == written else None)
-            self._written = written
-            self._sampler, self._noise = sampler, (seed, index)
-            scene, verdicts, error = self._scene(sampler, config, seed, index)
-        self._number += 1
-        before = self.shown
-        same = before is not None and np.array_equal(before.scene.world_from_camera, scene.world_from_camera)
-        depth = before.depth_m if before is not None and same else 1.0
-        return Posed(self._number, config, scene, verdicts, error, depth, {"pose": time.perf_counter() - started})
-
-    def see(self, posed: Posed) -> Shown:
-        """The scene that was posed last, with what its camera delivers."""
-        started = time.perf_counter()
-        assert self._sampler is not None
-        with threadpool_limits(1):
-            maker = FrameMaker(posed.config, self._noise[0], self._sampler, pictures=False)
-            frame = maker.see(posed.scene, rng=noise_rng(*self._noise))
-            doubts = _place_doubts(posed.config, posed.scene)
-        depth = frame["depth_clean"]
-        middle = float(depth[depth.shape[0] // 2, depth.shape[1] // 2])
-        told = {each.name: getattr(posed, each.name) for each in dataclasses.fields(posed)}
-        told["depth_m"] = middle if 0.3 < middle < 3.0 else 1.0
-        told["seconds"] = {**posed.seconds, "see": time.perf_counter() - started}
-        self.shown = Shown(**told, frame=frame, doubts=doubts)
-        return self.shown
-
-    def draw(self, config: SynthConfig, seed: int, index: int) -> Shown:
-        """What a configuration looks like, at once. Raises CabinposeError where there is nothing to show."""
-        return self.see(self.pose(config, seed, index))
-
-    def _scene(self, sampler: SceneSampler, config: SynthConfig, seed: int, index: int) -> tuple[Scene, tuple[Verdict, ...], str]:
-        scene = config.scene
-        occupants = scene.occupants.values() if isinstance(scene, CabinScene) else ()
-        given = any(occupant.pose is not None for occupant in occupants)
-        if given and all(o.pose for o in occupants) and isinstance(scene, CabinScene) and not any(scene.occupancy.values()):
-            return *sampler.as_given(index, rng=frame_rng(seed, index)), ""
-        try:
-            return sampler.sample(index, rng=frame_rng(seed, index)), (), ""
-        except CabinposeError as error:
-            if given:
-                return *sampler.as_given(index, rng=frame_rng(seed, index)), error.in_one_line()
-            if self.shown is None or not isinstance(error, SceneError):
-                raise
-            return self.shown.scene, (), error.in_one_line()
+def _given(data: Mapping[str, Any], default: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """The values of a configuration that are not as by default; of mappings that somebody fills, each entry."""
+    for name, value in data.items():
+        usual = default.get(name) if isinstance(default, dict) else None
+        if value == usual or value is None:
+            continue
+        if isinstance(value, dict) and (not key or isinstance(usual, dict) or (*key, name)[:2] == ("scene", "occupants")):
+            yield from _given(value, usual, (*key, name))
+        else:
+            yield (*key, name), value
 
 
-def _place_doubts(config: SynthConfig, scene: Scene) -> tuple[str, ...]:
-    """What speaks against the camera's place in a car."""
-    if scene.cabin is None:
-        return ()
-    camera = config.camera.sensor_model
-    return judge_place(scene.cabin, scene.pov, scene.world_from_camera, camera, config.noise, scene.settings).doubts
+def _at(data: Any, key: Sequence[str]) -> Any:
+    for name in key:
+        data = data.get(name) if isinstance(data, dict) else None
+    return data
+
+
+def _short(value: Any) -> str:
+    words = yaml.safe_dump(value, default_flow_style=True, width=10_000).removesuffix("\n").removesuffix("\n...")
+    return words if len(words) <= _SHORT else f"{words[: _SHORT - 2]} …"
 
 
 def _must(words: str) -> str:
     """What pydantic says of a value, as short as a field is wide."""
     return f"must {words.removeprefix('Input should ')}" if words.startswith("Input should ") else words
-
-
-def own_cars(config: SynthConfig) -> list[Path]:
-    """The YAMLs of the user's own cars."""
-    cars = config.scene.cars if isinstance(config.scene, CabinScene) else ()
-    return [Path(car) for car in cars if isinstance(car, str) and is_car_file(car)]
-
-
-def camera_of(shown: Posed) -> tuple[list[float], list[float], float]:
-    """Where the camera is, a point before it that it looks at (m), and its roll (deg)."""
-    own = shown.config.camera.views.get(shown.scene.pov)
-    if isinstance(own, CameraPose):
-        return list(own.position_m), list(own.look_at_m), own.roll_deg
-    camera = shown.scene.world_from_camera
-    eye, forward, right = camera[:3, 3], camera[:3, 2], camera[:3, 0]
-    target = eye + forward * shown.depth_m
-    level = np.cross(forward, (0.0, 0.0, 1.0))
-    roll = 0.0
-    if np.linalg.norm(level) > 1e-3:
-        level /= np.linalg.norm(level)
-        roll = math.degrees(math.atan2(float(np.cross(level, right) @ forward), float(level @ right)))
-    return eye.round(_ROUND_M).tolist(), target.round(_ROUND_M).tolist(), round(roll, 2) + 0.0
 
 
 def _posed(shown: Posed, slot: str) -> tuple[Person, NDArray[np.float64], Matrix]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import json
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Any
 
 from nicegui import ui
@@ -13,48 +14,133 @@ from cabinpose.scene.cabin import PRESETS
 
 _TYPED_MS = 60  # without a key before a number that is typed counts
 _MOST_FOUND = 60
+_FOCUS_AGAIN = "studioFocusAgain()"
+# The field that had the keyboard has it again where the form was built anew; a field is given it by its key.
+FOCUS_SCRIPT = """
+if (!window.studioFocusKey) {
+  let last = "", top = 0;
+  const place = (key) => [...document.querySelectorAll("[data-key]")].find((e) => e.dataset.key === key);
+  document.addEventListener("focusin", ({ target }) => { last = target.closest("[data-key]")?.dataset.key || ""; });
+  const scrolled = ({ target }) => { if (target.classList?.contains("studio-keys")) top = target.scrollTop; };
+  document.addEventListener("scroll", scrolled, true);
+  const give = (element) => (element.querySelector("input, [tabindex='0'], button, [role=button]") || element).focus();
+  window.studioFocusKey = (key, tries = 10) => {
+    const element = place(key);
+    if (!element) { if (tries) setTimeout(() => studioFocusKey(key, tries - 1), 50); return; }
+    element.scrollIntoView({ block: "center" });
+    give(element);
+  };
+  window.studioFocusAgain = () => {
+    const key = last, at = top;
+    setTimeout(() => {
+      const panel = document.querySelector(".studio-keys");
+      if (panel) panel.scrollTop = at;
+      const element = key && document.activeElement === document.body && place(key);
+      if (element) give(element);
+    }, 100);
+  };
+}
+"""
 Changed = Callable[[], Awaitable[None]]
 
 
 class SceneFields:
-    """The form of one browser. `changed` is called after each change, and what is wrong shown where it is."""
+    """The form of one browser. `changed` is called after each change, and what is wrong shown where it is.
 
-    def __init__(self, editor: SceneEditor, starts: Callable[[], dict[str, Any]], changed: Changed) -> None:
-        self._editor, self._starts, self._changed = editor, starts, changed
+    focused: is told the key of the field that has the keyboard.
+    """
+
+    def __init__(
+        self, editor: SceneEditor, starts: Callable[[], dict[str, Any]], changed: Changed, focused: Callable[[Path], object]
+    ) -> None:
+        self._editor, self._starts, self._changed, self._focused = editor, starts, changed, focused
+        self._client = ui.context.client  # what a handler's element belonged to may be gone when it ends
         self._open: set[Path] = {("scene",)}
         self._shown: dict[Path, Any] = {}
+        self._groups: dict[Path, ui.label] = {}
+        self._conflicts: tuple[tuple[Path, str], ...] = ()
+        self._built: Any = None
+        self._quiet = False
         self._words = ui.input(placeholder="find a key", on_change=self.rebuild).props("dense outlined clearable debounce=200")
-        self._words.classes("w-full").mark("find")
+        self._words.classes("w-full studio-find").mark("find").props("aria-label='find a key'")
         self._body = ui.column().classes("w-full").style("gap: 2px")
         self.rebuild()
+
+    def refresh(self) -> None:
+        """Show what is edited now: in place where the same fields are there, so that groups, place and focus stay."""
+        root = self._form()
+        if self._form_of(root) != self._built:
+            self.rebuild()
+            self._client.run_javascript(_FOCUS_AGAIN)
+            return
+        self._quiet = True
+        for field in root.walk():
+            widget = self._shown.get(field.path)
+            if widget is not None:
+                widget.value = _on_screen(field)
+        self._quiet = False
+        self.show_conflicts()
 
     def rebuild(self) -> None:
         """Build the form anew from what is edited now."""
         self._body.clear()
-        self._shown = {}
-        root = form(self._editor.state.data, starts=self._starts(), cars=self._editor.car_files())
+        self._shown, self._groups = {}, {}
+        root = self._form()
+        self._built = self._form_of(root)
         words = str(self._words.value or "").lower().split()
         with self._body:
             if words:
                 found = [f for f in root.walk() if f.path and (not f.children or f.kind == "names") and _matches(f, words)]
                 for each in found[:_MOST_FOUND]:
-                    self._build(each, ".".join(map(str, each.path)))
+                    key = ".".join(map(str, each.path))
+                    self._build(each, f"{key} · {each.words}" if each.code else key)
                 if len(found) != len(found[:_MOST_FOUND]) or not found:
-                    ui.label(f"{len(found)} keys" if found else "no key is called so").style("opacity: .7")
+                    ui.label(f"{len(found)} keys" if found else "no key is called so").style("opacity: .8")
             else:
                 for child in root.children:
-                    self._build(child, child.name)
-        self.show_errors()
+                    self._build(child, child.words)
+        self.show_conflicts()
 
-    def show_errors(self) -> None:
-        """Show what is wrong at the fields."""
+    def reveal(self, path: Path) -> None:
+        """Open the groups down to a field, or to what there is of its path, and give it the keyboard."""
+        self._open |= {path[:depth] for depth in range(1, len(path) + 1)}
+        if self._words.value:
+            self._words.value = ""  # which builds the form
+        else:
+            self.rebuild()
+        places = self._shown.keys() | self._groups.keys()
+        at = next((path[:depth] for depth in range(len(path), 0, -1) if path[:depth] in places), ())
+        if at:
+            self._client.run_javascript(f"studioFocusKey({json.dumps('.'.join(map(str, at)))})")
+
+    def show_conflicts(self, conflicts: Iterable[tuple[Path, str]] | None = None) -> None:
+        """Show what is wrong at its field, or at the group that hides it; conflicts: of the scene, None for those told last."""
+        self._conflicts = self._conflicts if conflicts is None else tuple(conflicts)
+        told: dict[Path, str] = {}
+        places = self._shown.keys() | self._groups.keys()
+        for path, words in (*self._editor.errors.items(), *self._conflicts):
+            at = next((path[:depth] for depth in range(len(path), 0, -1) if path[:depth] in places), None)
+            if at is not None:
+                told.setdefault(at, ": ".join((*map(str, path[len(at) :][-1:]), words)))
         for path, widget in self._shown.items():
-            found = [(key[len(path) :], words) for key, words in self._editor.errors.items() if key[: len(path)] == path]
-            wrong = [": ".join((*map(str, inside[-1:]), words)) for inside, words in found]
             if hasattr(widget, "error"):
-                widget.error = wrong[0] if wrong else None
+                widget.error = told.get(path)
+        for path, label in self._groups.items():
+            label.text = told.get(path, "")
+            label.set_visibility(path in told)
 
-    async def _set(self, path: Path, value: Any, *, rebuild: bool = False) -> None:
+    def _form(self) -> Field:
+        return form(self._editor.state.data, starts=self._starts(), cars=self._editor.car_files())
+
+    def _form_of(self, root: Field) -> Any:
+        """What of a form needs other elements where it differs."""
+        return [(f.path, f.kind, f.option, f.options, f.choices, self._is_entry(f.path)) for f in root.walk()]
+
+    def _set(self, path: Path, value: Any, *, rebuild: bool = False) -> Awaitable[None] | None:
+        """Take what somebody gave; what is shown by `refresh` is nobody's."""
+        return None if self._quiet else self._given(path, value, rebuild=rebuild)
+
+    async def _given(self, path: Path, value: Any, *, rebuild: bool) -> None:
         self._editor.set(path, value)
         await self._done(rebuild=rebuild)
 
@@ -65,8 +151,10 @@ class SceneFields:
     async def _done(self, *, rebuild: bool) -> None:
         if rebuild:
             self.rebuild()
+            self._client.run_javascript(_FOCUS_AGAIN)
         else:
-            self.show_errors()
+            self._built = self._form_of(self._form())
+            self.show_conflicts()
         await self._changed()
 
     def _build(self, field: Field, title: str) -> None:
@@ -78,7 +166,7 @@ class SceneFields:
         else:
             self._leaf(field, title)
             for child in field.children:
-                self._build(child, f"{child.name} · dimensions")
+                self._build(child, f"{child.words} · dimensions")
             if field.path == ("scene", "cars"):
                 self._change_preset(field)
 
@@ -91,7 +179,7 @@ class SceneFields:
         async def change() -> None:
             cars, at = with_changed_preset(self._now(field), str(preset.value))
             self._open.add((*field.path, at))
-            await self._set(field.path, cars, rebuild=True)
+            await self._given(field.path, cars, rebuild=True)
 
         preset.on_value_change(change)
 
@@ -99,7 +187,9 @@ class SceneFields:
         """A group that opens; what is in it is built when it does."""
         removable = len(field.path) > 1 and isinstance(self._holder(field.path), (dict, list)) and self._is_entry(field.path)
         group = ui.expansion(value=field.path in self._open).props("dense dense-toggle").classes("w-full studio-group")
-        with group.add_slot("header"), ui.row().classes("no-wrap items-center w-full").style("gap: 6px"):
+        group.props["data-key"] = ".".join(map(str, field.path))
+        header = group.add_slot("header")
+        with header, ui.row().classes("items-center w-full").style("gap: 0 6px; flex-wrap: wrap"):
             label = ui.label(title).style("font-weight: 600; flex: 1; font-size: 13px; overflow: hidden; text-overflow: ellipsis")
             if field.description:
                 label.tooltip(field.description)
@@ -107,9 +197,12 @@ class SceneFields:
                 plain = isinstance(field.value, (str, int, float))
                 ui.label(str(field.value) if plain else field.option).style("opacity: .7; font-size: 12px")
             if removable:
-                ui.button(icon="close").props("flat round dense size=xs").on(
+                ui.button(icon="close").props("flat round dense size=xs aria-label='take it out'").on(
                     "click.stop", lambda: self._remove(field.path)
-                ).tooltip("take it out")
+                ).on("keydown.enter.stop", lambda: self._remove(field.path)).tooltip("take it out")
+            wrong = ui.label().style("color: var(--studio-wrong); font-size: 12px; width: 100%")
+            wrong.set_visibility(False)
+            self._groups[field.path] = wrong
         with group:
             inside = ui.column().classes("w-full").style("gap: 2px; padding-left: 8px; border-left: 2px solid #8884")
 
@@ -118,7 +211,7 @@ class SceneFields:
             if group.value and not inside.default_slot.children:
                 with inside:
                     self._inside(field)
-                self.show_errors()
+                self.show_conflicts()
 
         group.on_value_change(fill)
         if group.value:
@@ -132,28 +225,28 @@ class SceneFields:
             choice.on_value_change(lambda event: self._set(field.path, fresh[event.value], rebuild=True))
         if field.kind == "group":
             for child in field.children:
-                self._build(child, child.name)
+                self._build(child, child.words)
         elif field.kind == "mapping":
             self._mapping(field)
         elif field.kind == "list":
             for child in field.children:
-                self._build(child, child.name)
+                self._build(child, child.words)
             ui.button("add", icon="add", on_click=lambda: self._set(field.path, [*field.value, field.entry], rebuild=True)).props(
                 "flat dense no-caps size=sm"
             )
         elif field.kind != "nothing":
-            self._leaf(field, field.name)
+            self._leaf(field, field.words)
 
     def _mapping(self, field: Field) -> None:
         for child in field.children:
-            self._build(child, child.name)
+            self._build(child, child.words)
         left = [key for key in field.choices if key not in (field.value or {})]
         key = ui.select(left, label="add", with_input=True, new_value_mode="add-unique").props("dense outlined").classes("w-full")
 
         async def add() -> None:
             if key.value:
                 self._open.add((*field.path, str(key.value)))
-                await self._set((*field.path, str(key.value)), field.entry, rebuild=True)
+                await self._given((*field.path, str(key.value)), field.entry, rebuild=True)
 
         key.on_value_change(add)
 
@@ -163,10 +256,12 @@ class SceneFields:
         ui.label(f"{title}{unit}").style("font-size: 12px; opacity: .8").tooltip(field.description or title)
         with ui.row().classes("no-wrap w-full").style("gap: 4px"):
             for child in field.children:
-                self._number(child, child.name).style("flex: 1; min-width: 0")
+                self._number(child, child.words).style("flex: 1; min-width: 0")
 
     def _leaf(self, field: Field, title: str) -> None:
-        with ui.row().classes("no-wrap items-center w-full").style("gap: 2px"):
+        with ui.row().classes("no-wrap items-center w-full").style("gap: 2px") as row:
+            row.props["data-key"] = ".".join(map(str, field.path))
+            row.on("focusin", lambda: self._focused(field.path), args=[])
             make = {"number": self._number, "integer": self._number, "flag": self._flag, "choice": self._choice}
             widget = make.get(field.kind, self._names if field.kind == "names" else self._text)(field, title)
             widget.style("flex: 1; min-width: 0")
@@ -182,14 +277,14 @@ class SceneFields:
     def _number(self, field: Field, title: str) -> ui.number:
         whole = field.kind == "integer"
 
-        async def given(event: Any) -> None:
+        def given(event: Any) -> Awaitable[None] | None:
             value = event.value
             if value is None and not field.optional:
-                return
-            await self._set(field.path, int(value) if whole and value is not None and value == int(value) else value)
+                return None
+            return self._set(field.path, int(value) if whole and value is not None and value == int(value) else value)
 
         step = 1 if whole else _step(field)
-        value = field.value if isinstance(field.value, (int, float)) else None
+        value = _on_screen(field)
         words = f"{title} · {field.range_words}" if field.range_words and isinstance(field.path[-1], str) else title
         number = ui.number(words, value=value, step=step, on_change=given)
         number.props(f"dense outlined debounce={_TYPED_MS}" + (" clearable" if field.optional else "")).classes("w-full")
@@ -200,25 +295,25 @@ class SceneFields:
 
     def _flag(self, field: Field, title: str) -> Any:
         if not field.optional:
-            box = ui.checkbox(title, value=bool(field.value)).props("dense").style("padding: 4px 0; font-size: 13px")
+            box = ui.checkbox(title, value=_on_screen(field)).props("dense").style("padding: 4px 0; font-size: 13px")
             return box.on_value_change(lambda event: self._set(field.path, event.value))
         words = {None: "left out", True: "yes", False: "no"}
-        return self._select(ui.select(words, value=field.value, label=title), field)
+        return self._select(ui.select(words, value=_on_screen(field), label=title), field)
 
     def _choice(self, field: Field, title: str) -> Any:
         options: dict[Any, str] = ({None: "left out"} if field.optional else {}) | {name: name for name in field.choices}
-        return self._select(ui.select(options, value=field.value if field.value in options else None, label=title), field)
+        return self._select(ui.select(options, value=_on_screen(field), label=title), field)
 
     def _text(self, field: Field, title: str) -> Any:
         if not field.choices:
-            text = ui.input(title, value=field.value or "").props("dense outlined debounce=400").classes("w-full")
+            text = ui.input(title, value=_on_screen(field)).props("dense outlined debounce=400").classes("w-full")
             return text.on_value_change(lambda event: self._set(field.path, event.value or (None if field.optional else "")))
         options = list(dict.fromkeys((*field.choices, *([field.value] if field.value else []))))
-        chosen = ui.select(options, value=field.value or None, label=title, with_input=True, new_value_mode="add-unique")
+        chosen = ui.select(options, value=_on_screen(field), label=title, with_input=True, new_value_mode="add-unique")
         return self._select(chosen.props("clearable" if field.optional else ""), field)
 
     def _names(self, field: Field, title: str) -> Any:
-        names = [each for each in field.value if isinstance(each, str)]
+        names = _on_screen(field)
         options = list(dict.fromkeys((*field.choices, *names)))
         chosen = ui.select(options, value=names, label=title, multiple=True, with_input=True, new_value_mode="add-unique").props(
             "use-chips"
@@ -260,8 +355,22 @@ _MAPPINGS = (
 )  # fmt: skip
 
 
+def _on_screen(field: Field) -> Any:
+    """The value of a field as its element has it."""
+    value = field.value
+    if field.kind in ("number", "integer"):
+        return value if isinstance(value, (int, float)) else None
+    if field.kind == "flag":
+        return value if field.optional else bool(value)
+    if field.kind == "choice":
+        return value if value in field.choices else None
+    if field.kind == "names":
+        return [each for each in value if isinstance(each, str)] if isinstance(value, (list, tuple)) else []
+    return value or (None if field.choices else "")
+
+
 def _matches(field: Field, words: list[str]) -> bool:
-    text = f"{'.'.join(map(str, field.path))} {field.description}".lower()
+    text = f"{'.'.join(map(str, field.path))} {field.words} {field.description}".lower()
     return all(word in text for word in words)
 
 

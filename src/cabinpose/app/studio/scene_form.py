@@ -22,6 +22,8 @@ _UNITS = (
 )  # fmt: skip
 _PLAIN_UNITS = {"fps": "1/s", "width": "px", "height": "px", "fx": "px", "fy": "px", "cx": "px", "cy": "px"}  # of `sensor`
 _AXES = ("axes", "initial_pose_deg", "angles_rad")
+_JOINTS = frozenset(dof.name.partition(".")[0] for dof in DOFS)
+_NAMED = ("own", "views", "frequencies_hz")  # whose entries have names of the user's own
 _COORDINATES = ("x", "y", "z")
 _LEFT_OUT = "left out"
 _THINGS: Mapping[str | int, Literal["child seat", "object"]] = MappingProxyType(
@@ -41,7 +43,7 @@ class Field:
     text or nothing · value: as plain data, None where it is left out · low, high: bounds, None: none · above: whether `low`
     itself is excluded · choices: values it may have, or keys a mapping may get, or usual ones of these · optional: whether it
     may be left out · options, option: what it can be in place of this, and what it is · fresh: what each of these starts from ·
-    entry: what a new entry starts from.
+    entry: what a new entry starts from · code: of SAE J1100, where it is a dimension that the standard defines.
     """
 
     path: Path
@@ -59,6 +61,7 @@ class Field:
     fresh: Mapping[str, Any] | None = None
     entry: Any = None
     children: tuple[Field, ...] = ()
+    code: str = ""
 
     @property
     def name(self) -> str:
@@ -67,6 +70,18 @@ class Field:
         if isinstance(last, int) and isinstance(self.value, dict) and self.value.get("name"):
             return str(self.value["name"])
         return _COORDINATES[last] if isinstance(last, int) and str(self.path[-2]).endswith("_m") and last < 3 else str(last)
+
+    @property
+    def words(self) -> str:
+        """The name in words, with the code where there is one; names that somebody gave as they are."""
+        if self.code:  # "H30-1: seat height: H-point above the heel point [SAE J1100]"
+            return f"{self.description.split(': ', 1)[1].partition(':')[0].partition(' [')[0]} ({self.code})"
+        if self.name in DOF_INDEX:
+            return axis_words(self.name)
+        if not self.path or isinstance(self.path[-1], int) or (self.path[-2:-1] and self.path[-2] in _NAMED):
+            return self.name
+        unit = next((suffix for suffix, _ in _UNITS if self.name.endswith(suffix) and suffix.startswith("_")), "")
+        return self.name.removesuffix(unit).replace("_", " ") if unit else self.name.replace("_", " ")
 
     @property
     def range_words(self) -> str:
@@ -83,6 +98,13 @@ class Field:
         yield self
         for child in self.children:
             yield from child.walk()
+
+
+def axis_words(axis: str) -> str:
+    """A joint axis in words: left elbow flexion."""
+    joint, _, motion = axis.partition(".")
+    sides = {"l": "left", "r": "right"}
+    return f"{sides[joint[0]]} {joint[1:]} {motion}" if joint[0] in sides and "r" + joint[1:] in _JOINTS else f"{joint} {motion}"
 
 
 def form(data: Mapping[str, Any], *, starts: Mapping[str, Any] | None = None, cars: Sequence[str] = ()) -> Field:
@@ -117,6 +139,8 @@ class _Builder:
 
     def field(self, path: Path, given: Mapping[str, Any], value: Any, description: str = "") -> Field:
         """The field of a schema's part, and those within."""
+        if "code" in given:
+            return replace(self.field(path, {k: v for k, v in given.items() if k != "code"}, value), code=given["code"])
         part = _resolved(given)
         description = given.get("description") or description or part.get("description", "").split("\n")[0]
         variants = _variants(part)

@@ -17,10 +17,11 @@ from fastapi import APIRouter, HTTPException, Response
 from cabinpose.app.studio.clouds import cloud_glb
 from cabinpose.app.studio.pictures import CLASSES, IMAGES, picture
 from cabinpose.app.studio.scene_bodies import FINE_WITHIN_M, bodies
-from cabinpose.app.studio.scene_edit import Posed, Preview, SceneEditor, Shown, own_cars, read_state
+from cabinpose.app.studio.scene_edit import SceneEditor, read_state
+from cabinpose.app.studio.scene_preview import Posed, Preview, Shown, own_cars
 from cabinpose.app.view.draw import cloud_colours
 from cabinpose.core import CabinposeError, ConfigError, MeshError, apply
-from cabinpose.synth import Progress, SynthConfig, generate
+from cabinpose.synth import Progress, Scene, SynthConfig, generate
 
 _RECENT = 8  # scenes kept for browsers that have been told of them and come for their images
 _KEPT = 120  # shapes and places of bodies, for the same reason
@@ -92,7 +93,7 @@ class SceneRoom:
         self._drawing = False
         self._recent: OrderedDict[int, Shown] = OrderedDict()
         self.posed: Posed | None = None
-        self._of: Posed | None = None
+        self._of: Scene | None = None
         self._bodies: dict[str, dict[str, Any]] = {}
         self._made: OrderedDict[str, Callable[[], bytes]] = OrderedDict()
 
@@ -146,8 +147,8 @@ class SceneRoom:
 
     def bodies(self, posed: Posed) -> dict[str, dict[str, Any]]:
         """What is drawn of a scene, by name: addresses of shape and points, the same for what is the same, and looks."""
-        if posed is not self._of:
-            self._of, self._bodies = posed, {}
+        if posed.scene is not self._of:
+            self._of, self._bodies = posed.scene, {}
             for name, body in bodies(posed.scene).items():
                 of_shape = body.surface.faces.tobytes() + body.kinds.tobytes() + bytes([body.cabin])
                 self._bodies[name] = {

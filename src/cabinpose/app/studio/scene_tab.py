@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -11,44 +10,86 @@ import numpy as np
 from nicegui import ui
 
 from cabinpose.app.studio.canvas import GREY, FrameCanvas
-from cabinpose.app.studio.scene_edit import Posed, Shown, camera_of
-from cabinpose.app.studio.scene_fields import SceneFields
+from cabinpose.app.studio.scene_dialogs import ask_accept, ask_generate, ask_open, ask_save
+from cabinpose.app.studio.scene_dimensions import Line, dimension_lines
+from cabinpose.app.studio.scene_fields import FOCUS_SCRIPT, SceneFields
+from cabinpose.app.studio.scene_form import Path, form
+from cabinpose.app.studio.scene_people import SLIDER_KEYS, ScenePeople
+from cabinpose.app.studio.scene_preview import Posed, Shown, camera_of
 from cabinpose.app.studio.scene_session import OpenedScene, SceneRoom
 from cabinpose.app.studio.tab import Page, Tab, empty_state
 from cabinpose.app.studio.view3d import VIEW_KEYS, Marks, SceneBodies, view_3d
 from cabinpose.core import CabinposeError
 from cabinpose.scene import RGB
-from cabinpose.scene.body import DOFS
-from cabinpose.synth import Verdict, dof_scale, limits_deg
 
 _LABELS = [[RGB.get(i, 0) >> 16 & 255, RGB.get(i, 0) >> 8 & 255, RGB.get(i, 0) & 255] for i in range(256)]
 _FADE_S = 0.5  # that an old shape stays until the browser has the new one
 _LOOK_S = 0.4
 _STYLE = """
 .studio-images { transition: opacity .1s; } .studio-images.studio-stale { opacity: .35; transition: opacity .15s .2s; }
+:root { --studio-wrong: #b3261e; --studio-doubt: #8a5200; --studio-right: #1b6e45; }
+.body--dark { --studio-wrong: #ff8a80; --studio-doubt: #ffb74d; --studio-right: #6fd39e; }
+.studio-conflicts { gap: 0; max-height: 22vh; overflow-y: auto; flex-wrap: nowrap; } .studio-conflicts:empty { display: none; }
+.studio-conflicts .q-btn { width: 100%; color: var(--studio-wrong) !important; }
+.studio-conflicts .q-btn__content { flex-wrap: nowrap; text-align: left; }
+.studio-view:focus-visible { outline: 2px solid #4f9fd8; outline-offset: -2px; }
 .studio-dimension { color: #fff; background: #000b; padding: 1px 6px; border-radius: 4px; font: 13px system-ui, sans-serif; }
 """
+KEYS = (
+    ("Ctrl Z, Ctrl Y", "undo, redo"),
+    ("Ctrl S, Ctrl O", "save, open a configuration"),
+    ("s, a, g", "sample, accept, generate"),
+    ("/", "find a key"),
+    *SLIDER_KEYS,
+    *VIEW_KEYS,
+)
+# Keys of the tab, wherever the keyboard is in it; letters only where nothing is typed.
+_KEYS = """(() => {
+  const tab = getHtmlElement(%d);
+  const told = { z: "z", y: "y", Z: "Z", s: "s", o: "o" }, letters = { s: "S", a: "A", g: "G", "/": "/" };
+  document.addEventListener("keydown", (event) => {
+    if (!tab.isConnected || !tab.offsetParent || event.altKey || document.querySelector(".q-dialog")) return;
+    const typed = event.target.closest?.("input, textarea, select, [contenteditable]");
+    const key = event.ctrlKey || event.metaKey ? told[event.key] : typed ? undefined : letters[event.key];
+    if (!key) return;
+    event.preventDefault();
+    if (key === "/") { // at once: what is typed next is for it
+      tab.querySelector(".studio-side [role=tab]").click();
+      setTimeout(() => tab.querySelector(".studio-find input, input.studio-find").focus());
+      return;
+    }
+    tab.dispatchEvent(new CustomEvent("scene-key", { detail: key }));
+  });
+})()"""
 _BUTTON = "dense no-caps outline size=sm"
 
 
 class SceneTab:
     """The tab of one browser; the scene is the studio's, shared by all."""
 
-    def __init__(self, room: SceneRoom) -> None:
+    def __init__(self, room: SceneRoom, front: Callable[[], bool]) -> None:
+        """front: whether the tab is in front, and takes keys."""
         self._room, self._editor = room, room.editor
         self._cloud: tuple[str, Any] = ("", None)
         self._handles: dict[str, Any] = {}
         self._state = self._editor.state
         self._seen: Posed | None = None
+        self._front = front
+        self._told: list[tuple[Path, str]] | None = None
+        self._measured: Path = ()
+        self._drawn_dimension = ""
         self._coming: set[str] = set()  # images that the browser does not have yet
         self._looked = False
         ui.add_css(_STYLE)
-        with ui.row().classes("studio-tab no-wrap w-full"):
+        ui.run_javascript(FOCUS_SCRIPT)
+        with ui.row().classes("studio-tab no-wrap w-full") as tab:
             side = ui.column().classes("studio-side no-wrap").style("width: 330px; min-width: 330px; overflow: hidden")
             with side.style("height: 100%"):
                 self._build_side()
             with ui.column().classes("studio-main"):
                 self._build_main()
+        ui.run_javascript(_KEYS % tab.id)
+        tab.on("scene-key", self._key, js_handler="(event) => emit(event.detail)")
         room.listeners.append(self._refresh)
         ui.context.client.on_delete(lambda: room.listeners.remove(self._refresh))
         ui.timer(_LOOK_S, self._look_at_generation)
@@ -63,20 +104,20 @@ class SceneTab:
         editor = self._editor
         with ui.row().classes("no-wrap w-full").style("gap: 4px"):
             for words, icon, tip, change in (
-                ("Sample", "casino", "another draw of all that is not given: the next frame", editor.sample_again),
-                ("Accept", "check", "keep the scene that is shown: its poses can be changed then", self._accept),
-                ("Undo", "undo", "one step back", editor.undo),
-                ("Redo", "redo", "one step forward", editor.redo),
+                ("Sample", "casino", "another draw of all that is not given: the next frame (s)", self._sample),
+                ("Accept", "check", "keep the scene that is shown: its poses can be changed then (a)", self._accept),
+                ("Undo", "undo", "one step back (Ctrl Z)", self._undo),
+                ("Redo", "redo", "one step forward (Ctrl Y)", self._redo),
             ):
-                button = ui.button(words, icon=icon, on_click=lambda change=change: self._do(change)).props(_BUTTON)
+                button = ui.button(words, icon=icon, on_click=change).props(_BUTTON)
                 button.style("flex: 1; padding: 2px 4px").tooltip(tip)
         with ui.row().classes("no-wrap w-full").style("gap: 4px"):
-            for words, icon, open_dialog in (
-                ("Open", "folder_open", self._open_dialog),
-                ("Save", "save", self._save_dialog),
-                ("Generate", "movie", self._generate_dialog),
+            for words, icon, tip, ask in (
+                ("Open", "folder_open", "a configuration of the folder (Ctrl O)", self._ask_open),
+                ("Save", "save", "as a configuration that `synth` takes (Ctrl S)", self._ask_save),
+                ("Generate", "movie", "a dataset beside the scene (g)", self._ask_generate),
             ):
-                ui.button(words, icon=icon, on_click=open_dialog).props(_BUTTON).style("flex: 1; padding: 2px 4px")
+                ui.button(words, icon=icon, on_click=ask).props(_BUTTON).style("flex: 1; padding: 2px 4px").tooltip(tip)
         with ui.row().classes("no-wrap w-full items-center").style("gap: 4px"):
             self._seed = ui.number("seed", value=editor.state.seed, min=0, step=1, precision=0, on_change=self._frame_changed)
             self._index = ui.number("frame", value=editor.state.index, min=0, step=1, precision=0, on_change=self._frame_changed)
@@ -89,16 +130,16 @@ class SceneTab:
                 self._run_words = ui.label().style("flex: 1; font-size: 12px").mark("generation")
                 self._cancel = ui.button("Cancel", on_click=self._cancel_generation).props("dense flat no-caps size=sm")
         self._running.set_visibility(False)
+        self._conflicts = ui.column().classes("w-full studio-conflicts").props("role=group aria-label='what is wrong'")
         with ui.tabs().props("dense no-caps align=justify").classes("w-full") as bar:
             ui.tab("Keys")
             ui.tab("People")
-        panels = ui.tab_panels(bar, value="Keys", keep_alive=True).classes("w-full")
-        with panels.style("flex: 1; min-height: 0; background: none"):
-            with ui.tab_panel("Keys").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
-                self._fields = SceneFields(editor, lambda: editor.starts(self._room.posed), self._changed_by_field)
+        self._panels = ui.tab_panels(bar, value="Keys", keep_alive=True, on_change=self._refresh).classes("w-full")
+        with self._panels.style("flex: 1; min-height: 0; background: none"):
+            with ui.tab_panel("Keys").classes("studio-keys").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
+                self._fields = SceneFields(editor, lambda: editor.starts(self._room.posed), self._changed_by_field, self._measure)
             with ui.tab_panel("People").style("overflow-y: auto; height: 100%; padding: 6px 4px"):
-                self._people = ui.column().classes("w-full").style("gap: 2px")
-        self._build_people()
+                self._people = ScenePeople(self._room, self._do_in_place)
 
     def _build_main(self) -> None:
         with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
@@ -122,104 +163,79 @@ class SceneTab:
                             "position: absolute; top: 4px; left: 8px; font-size: 12px; color: #eee; text-shadow: 0 0 3px #000"
                         )
         with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; min-height: 24px"):
-            self._verdict = ui.label("drawing …").style("flex: 1; font-size: 13px").mark("verdict")
+            self._verdict = ui.label("drawing …").style("flex: 1; font-size: 13px").mark("verdict").props("role=status")
             self._facts = ui.label().style("font-size: 12px; opacity: .7; white-space: nowrap").mark("facts")
-
-    def _build_people(self) -> None:
-        """Sliders for the seats and joint axes of people who have a whole pose."""
-        self._people.clear()
-        given = self._editor.given if self._room.posed is not None else ()
-        with self._people:
-            if not given:
-                ui.label("Accept a scene: then every joint axis of its people is a slider here, and their hands can be dragged.")
-            for slot in given:
-                subject = self._editor.config.scene.occupants[slot].subject  # type: ignore[union-attr]
-                with ui.expansion(f"{slot}: {subject}").props("dense").classes("w-full studio-group") as group:
-                    inside = ui.column().classes("w-full").style("gap: 0")
-                group.on_value_change(lambda _, slot=slot, inside=inside: self._fill_person(slot, inside))
-
-    def _fill_person(self, slot: str, inside: ui.column) -> None:
-        shown, scene = self._room.posed, self._editor.config.scene
-        if inside.default_slot.children or shown is None or scene.kind != "cabin" or shown.scene.cabin is None:
-            return
-        pose = scene.occupants[slot].pose
-        if pose is None or slot not in shown.scene.settings:
-            return
-        low, high = shown.scene.cabin.seats[slot].ranges
-        with inside:
-            for key, name in (("fore_aft_m", "fore_aft_m"), ("height_m", "height_m"), ("torso_angle_rad", "torso_angle")):
-                scale = math.radians(1.0) if key.endswith("_rad") else 1.0
-                words, unit = ("torso angle", "°") if key.endswith("_rad") else (f"seat {key.removesuffix('_m')}", "m")
-                ends = float(getattr(low, name)) / scale, float(getattr(high, name)) / scale
-                self._slider(words, ends, getattr(pose, key) / scale, unit, self._seat_setter(slot, key, scale))
-            for dof in DOFS:
-                scale = dof_scale(dof.name)
-                value = pose.angles_rad.get(dof.name, 0.0) / scale
-                unit = "" if scale == 1.0 else "°"
-                self._slider(dof.name, limits_deg(dof.name), value, unit, self._joint_setter(slot, dof.name))
-
-    def _slider(self, name: str, ends: tuple[float, float], value: float, unit: str, put: Callable[[float], None]) -> None:
-        low, high = ends
-        step, digits = (0.01, 2) if high - low <= 2.0 else (0.5, 1)
-        with ui.row().classes("no-wrap items-center w-full").style("gap: 6px; font-size: 12px; height: 26px"):
-            ui.label(name).style("width: 118px; white-space: nowrap; overflow: hidden").tooltip(f"{low:.4g} to {high:.4g}{unit}")
-            number = ui.label(f"{value:.{digits}f} {unit}")
-            number.style("width: 52px; text-align: right; font-variant-numeric: tabular-nums")
-
-            last = value
-
-            async def moved(event: Any) -> None:
-                nonlocal last
-                chosen = min(max(float(event.value), low), high)
-                if chosen == last:  # the browser tells a place twice
-                    return
-                last = chosen
-                number.text = f"{chosen:.{digits}f} {unit}"
-                await self._do(lambda: put(chosen), rebuild=False)
-
-            slider = ui.slider(min=low, max=high, step=step, value=value).props("dense").style("flex: 1")
-            slider.on_value_change(moved)
-            slider.mark(name)
-
-    def _seat_setter(self, slot: str, key: str, scale: float) -> Callable[[float], None]:
-        def put(value: float) -> None:
-            if self._room.posed is not None:
-                self._editor.set_seat(self._room.posed, slot, key, value * scale)
-
-        return put
-
-    def _joint_setter(self, slot: str, axis: str) -> Callable[[float], None]:
-        def put(value: float) -> None:
-            if self._room.posed is not None:
-                self._editor.turn_joint(self._room.posed, slot, axis, value * dof_scale(axis))
-
-        return put
 
     # ------------------------------------------------------------------------------------------------ what is asked for
 
-    async def _do(self, change: Callable[[], Any], *, rebuild: bool = True) -> None:
+    async def _do(self, change: Callable[[], Any]) -> None:
         """Make a change, and draw what comes of it."""
         try:
             if change() is False:
-                ui.notify("there is nothing more to undo or redo")
+                ui.notify("there is nothing more to undo or redo", position="top")
         except CabinposeError as error:
-            ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000)
-        if not rebuild:
-            self._state = self._editor.state
+            ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000, position="top")
         await self._room.redraw()
+
+    async def _do_in_place(self, change: Callable[[], Any]) -> None:
+        """The same of a change that is seen already where it was made."""
+        before = self._editor.state
+        await self._do(change)
+        if self._editor.state is before:
+            self._people.show()
+
+    async def _sample(self) -> None:
+        await self._do(self._editor.sample_again)
+
+    async def _undo(self) -> None:
+        await self._do(self._editor.undo)
+
+    async def _redo(self) -> None:
+        await self._do(self._editor.redo)
 
     async def _changed_by_field(self) -> None:
         self._state = self._editor.state
         await self._room.redraw()
 
-    def _accept(self) -> None:
-        if self._room.posed is not None:
-            self._editor.accept(self._room.posed)
+    async def _accept(self) -> None:
+        """Accept the scene that is shown, after what it takes the place of was said."""
+        posed = self._room.posed
+        if posed is None:
+            return
+        try:
+            let_go = self._editor.let_go(posed)
+        except CabinposeError as error:
+            ui.notify(error.in_one_line(), type="negative", multi_line=True, timeout=10_000, position="top")
+            return
+        if let_go:
+            ask_accept(let_go, lambda: self._do(lambda: self._editor.accept(posed)))
+        else:
+            await self._do(lambda: self._editor.accept(posed))
+
+    def _ask_open(self) -> None:
+        ask_open(self._room, self._do)
+
+    def _ask_save(self) -> None:
+        ask_save(self._room)
+
+    def _ask_generate(self) -> None:
+        ask_generate(self._room, self._look_at_generation)
+
+    async def _key(self, event: Any) -> None:
+        """A key that belongs to the tab, not to what has the keyboard in it."""
+        acts: dict[str, Callable[[], Any]] = {
+            "z": self._undo, "y": self._redo, "Z": self._redo, "s": self._ask_save, "o": self._ask_open, "S": self._sample,
+            "A": self._accept, "G": self._ask_generate,
+        }  # fmt: skip
+        if self._front():
+            done = acts[str(event.args)]()
+            if done is not None:
+                await done
 
     async def _frame_changed(self) -> None:
         seed, index = int(self._seed.value or 0), int(self._index.value or 0)
         if (seed, index) != (self._editor.state.seed, self._editor.state.index):
-            await self._do(lambda: self._editor.look_at(seed, index), rebuild=False)
+            await self._do(lambda: self._editor.look_at(seed, index))
 
     async def _dragged(self, event: Any) -> None:
         shown, place = self._room.posed, (event.x, event.y, event.z)
@@ -228,74 +244,11 @@ class SceneTab:
             return
         if kind == "hand":
             slot, _, side = rest.partition(":")
-            missed: list[float] = []
-            await self._do(lambda: missed.append(self._editor.move_hand(shown, slot, side, place)))
-            if missed and missed[0] > 0.01:
-                ui.notify(f"the hand ends {100 * missed[0]:.0f} cm before that place")
+            await self._do(lambda: self._people.move_hand(slot, side, list(place)))
         elif kind == "camera":
             await self._do(lambda: self._editor.move_camera(shown, position=place))
         elif kind == "target":
             await self._do(lambda: self._editor.move_camera(shown, target=place))
-
-    # ------------------------------------------------------------------------------------------------------- dialogs
-
-    def _open_dialog(self) -> None:
-        with ui.dialog() as dialog, ui.card():
-            ui.label(f"Configurations in {self._editor.folder}")
-            for name in self._editor.files():
-                ui.button(name, on_click=lambda name=name: self._loaded(dialog, name)).props("flat no-caps dense")
-            ui.button("Close", on_click=dialog.close).props("flat no-caps")
-        dialog.open()
-
-    async def _loaded(self, dialog: ui.dialog, name: str) -> None:
-        dialog.close()
-        await self._do(lambda: self._editor.load(name))
-
-    def _save_dialog(self) -> None:
-        with ui.dialog() as dialog, ui.card():
-            ui.label(f"Save in {self._editor.folder}")
-            name = ui.input("file name", value=self._editor.file or "scene.yaml").props("dense outlined autofocus")
-            over = ui.checkbox("overwrite it", value=False)
-            over.set_visibility(False)
-            lost = ui.label("Its comments, and the order and form of its keys, are lost then.").style("color: #d33")
-            lost.set_visibility(False)
-
-            def save() -> None:
-                try:
-                    path = self._editor.save(str(name.value), overwrite=bool(over.value))
-                except CabinposeError as error:
-                    name.error = error.in_one_line()
-                    over.set_visibility("exists" in str(error))
-                    lost.set_visibility(over.visible and self._editor.has_comments(str(name.value)))
-                    return
-                dialog.close()
-                ui.notify(f"saved {path.name}; `cabinpose synth --config {path.name} --seed {self._editor.state.seed}` makes it")
-
-            with ui.row():
-                ui.button("Save it", on_click=save).props("no-caps")
-                ui.button("Close", on_click=dialog.close).props("flat no-caps")
-        dialog.open()
-
-    def _generate_dialog(self) -> None:
-        with ui.dialog() as dialog, ui.card():
-            ui.label(f"Generate in {self._editor.folder}")
-            name = ui.input("folder", value="dataset").props("dense outlined")
-            frames = ui.number("frames", value=100, min=1, step=1, precision=0).props("dense outlined")
-            resume = ui.checkbox("go on with what is there", value=False)
-
-            def start() -> None:
-                try:
-                    self._room.generate(str(name.value), int(frames.value or 0), resume=bool(resume.value))
-                except CabinposeError as error:
-                    name.error = error.in_one_line()
-                    return
-                dialog.close()
-                self._look_at_generation()
-
-            with ui.row():
-                ui.button("Start", on_click=start).props("no-caps")
-                ui.button("Close", on_click=dialog.close).props("flat no-caps")
-        dialog.open()
 
     def _cancel_generation(self) -> None:
         if self._room.generation is not None:
@@ -313,15 +266,13 @@ class SceneTab:
 
     def _refresh(self) -> None:
         """Show what was posed or drawn last, and the form where somebody else changed what it shows."""
-        room, editor, posed = self._room, self._editor, self._room.posed
-        if editor.state is not self._state or (posed is not None and self._seen is None):
+        editor, posed = self._editor, self._room.posed
+        if self._panels.value == "Keys" and (editor.state is not self._state or (posed is not None and self._seen is None)):
             self._state = editor.state
-            self._fields.rebuild()
-            self._build_people()
+            self._fields.refresh()
+        self._people.show()
         self._seed.value, self._index.value = editor.state.seed, editor.state.index
-        wrong = [f"{'.'.join(map(str, key)) or 'configuration'}: {words}" for key, words in editor.errors.items()]
-        self._tell(posed, wrong + ([room.error] if room.error else []))
-        self._fields.show_errors()
+        self._tell(posed)
         if posed is None:
             return
         if posed is not self._seen:
@@ -361,15 +312,57 @@ class SceneTab:
             self._looked = True
             self._look(posed)
 
-    def _tell(self, shown: Posed | None, wrong: list[str]) -> None:
-        collisions = [_words(verdict) for verdict in shown.verdicts] if shown is not None else []
-        doubts = [f"camera: {'; '.join(shown.doubts)}"] if isinstance(shown, Shown) and shown.doubts else []
-        self._verdict.text = "; ".join((*wrong, *collisions, *doubts)) or "holds: nothing collides"
-        self._verdict.style(f"color: {'#d33' if wrong or collisions else '#c77700' if doubts else '#2a9d5c'}")
-        if shown is not None:
-            who = ", ".join(f"{p.slot} {p.subject} ({p.action})" for p in shown.scene.people)
-            took = 1000 * sum(shown.seconds.values())
-            self._facts.text = f"{shown.scene.place}, view {shown.scene.pov}; {who}; {took:.0f} ms"
+    def _tell(self, posed: Posed | None) -> None:
+        """Say what is wrong: in the status line, in a list whose lines lead to the fields, and at these."""
+        found = self._editor.conflicts(posed, self._room.error)
+        self._fields.show_conflicts(found)
+        if found != self._told:
+            self._told = found
+            self._conflicts.clear()
+            with self._conflicts:
+                for key, words in found:
+                    line = ui.button(f"{'.'.join(map(str, key))}: {words}", icon="error", on_click=partial(self._reveal, key))
+                    line.props("flat dense no-caps align=left size=sm role=listitem").style(
+                        "color: var(--studio-wrong) !important"
+                    )
+        doubts = isinstance(posed, Shown) and len(posed.doubts) == len(found)
+        wrong = [words if key[:1] != ("camera",) else f"camera: {words}" for key, words in found]
+        typed = {words: f"{'.'.join(map(str, key)) or 'configuration'}: {words}" for key, words in self._editor.errors.items()}
+        self._verdict.text = "; ".join(typed.get(words, words) for words in wrong) or "holds: nothing collides"
+        colour = "doubt" if found and doubts else "wrong" if found else "right"
+        self._verdict.style(f"color: var(--studio-{colour})")
+        if posed is not None:
+            who = ", ".join(f"{p.slot} {p.subject} ({p.action})" for p in posed.scene.people)
+            took = 1000 * sum(posed.seconds.values())
+            self._facts.text = f"{posed.scene.place}, view {posed.scene.pov}; {who}; {took:.0f} ms"
+
+    def _reveal(self, key: Path) -> None:
+        self._panels.value = "Keys"
+        self._fields.reveal(key)
+
+    def _measure(self, key: Path) -> None:
+        """Draw the dimension of the field that has the keyboard."""
+        self._measured = key
+        self._show_dimension()
+
+    def _show_dimension(self) -> None:
+        if self._dimension(self._seen)[0] != self._drawn_dimension:
+            self._show_bodies()
+
+    def _dimension(self, posed: Posed | None) -> tuple[str, list[Line]]:
+        """The dimension's words and lines, where the car that is shown has it."""
+        cars = self._editor.state.data.get("scene", {}).get("cars")
+        if posed is None or posed.scene.cabin is None or self._measured[:2] != ("scene", "cars") or len(self._measured) != 4:
+            return "", []
+        at, name = self._measured[2:]
+        car = cars[at] if isinstance(cars, list) and isinstance(at, int) and at < len(cars) else None
+        if not isinstance(car, dict) or car.get("name") != posed.scene.place:
+            return "", []
+        field = next((f for f in form(self._editor.state.data).walk() if f.path == self._measured), None)
+        if field is None or not isinstance(field.value, (int, float)):
+            return "", []
+        words = f"{field.code or field.words}: {field.value:g} {field.unit}"
+        return words, dimension_lines(posed.scene.cabin, str(name), float(field.value))
 
     def _show_images(self, shown: Shown) -> None:
         depth = shown.frame["depth"]
@@ -389,7 +382,10 @@ class SceneTab:
         if self._handles_box.value:
             lines.append(("#ffd166", eye, target))
         balls = [("#ff2020", 0.06, v.where.tolist()) for v in posed.verdicts if v.where is not None]
-        return Marks(lines, balls)
+        self._drawn_dimension, measured = self._dimension(posed)
+        measures = [(start.tolist(), end.tolist()) for start, end in measured]
+        at = np.mean(measured[0], axis=0) if len(measured) == 1 else measured[1][1] if measured else None
+        return Marks(lines, balls, measures, [] if at is None else [(self._drawn_dimension, at.tolist())])
 
     def _show_handles(self, posed: Posed) -> None:
         """What can be dragged: the camera, what it looks at, and hands of whole poses."""
@@ -418,12 +414,6 @@ class SceneTab:
         self._scene.move_camera(x, y, z, look_x, look_y, look_z, 0, 0, 1, duration=0)
 
 
-def _words(verdict: Verdict) -> str:
-    where = "" if verdict.where is None else " at " + ", ".join(f"{x:.2f}" for x in verdict.where) + " m"
-    depth = f", {1000 * verdict.depth_m:.0f} mm deep" if verdict.depth_m else ""
-    return f"{verdict.rejection}{depth}{where}"
-
-
 def _corners(shown: Posed) -> list[list[float]]:
     """The ends of lines along the corners of the camera's image, 0.5 m long."""
     camera, pose = shown.config.camera.sensor_model.camera, shown.scene.world_from_camera
@@ -438,27 +428,27 @@ def _build(page: Page) -> None:
     """The scene that was named; where none was, one is begun when somebody asks for it."""
     scene = page.of_studio(OpenedScene)
     if page.workspace.scene is not None:
-        _open(scene)
+        _open(page, scene)
         return
     begin = ui.column().classes("w-full items-center")
     with begin:
         empty_state("No scene is open", "Open a configuration of `cabinpose synth`:", "cabinpose studio SCENE.yaml")
-        ui.button("Begin a new one here", icon="add", on_click=lambda: _begin(begin, scene)).props("no-caps outline")
+        ui.button("Begin a new one here", icon="add", on_click=lambda: _begin(begin, page, scene)).props("no-caps outline")
 
 
-def _begin(place: ui.column, scene: OpenedScene) -> None:
+def _begin(place: ui.column, page: Page, scene: OpenedScene) -> None:
     place.clear()
     with place:
-        _open(scene)
+        _open(page, scene)
 
 
-def _open(scene: OpenedScene) -> None:
+def _open(page: Page, scene: OpenedScene) -> None:
     try:
         room = scene.room()
     except CabinposeError as error:
         empty_state("The scene cannot be opened", str(error), error.hint or "")
         return
-    SceneTab(room)
+    SceneTab(room, lambda: page.front() == "Scene")
 
 
-TAB = Tab("Scene", _build, VIEW_KEYS, shared=lambda workspace: OpenedScene(workspace.scene))
+TAB = Tab("Scene", _build, KEYS, shared=lambda workspace: OpenedScene(workspace.scene))

@@ -54,10 +54,14 @@ VIEW_KEYS = (("arrows, + −", "in a 3D view: turn it, nearer and farther; with 
 
 
 class Marks(NamedTuple):
-    """What is drawn beside bodies, (x, y, z) m: lines (colour, two ends), balls (colour, radius, place), words (text, place)."""
+    """What is drawn beside bodies, places as (x, y, z) m.
+
+    lines: colour and two ends · balls: colour, radius and place · measures: two ends, in front of all · words: with a place.
+    """
 
     lines: Sequence[tuple[str, Sequence[float], Sequence[float]]] = ()
     balls: Sequence[tuple[str, float, Sequence[float]]] = ()
+    measures: Sequence[tuple[Sequence[float], Sequence[float]]] = ()
     words: Sequence[tuple[str, Sequence[float]]] = ()
 
 
