@@ -50,6 +50,16 @@ _HANDLES: Mapping[str, Mapping[str, tuple[float, ...]]] = {
     },
 }  # fmt: skip
 _GIRTH = len(_HANDLES) - 1
+# Where Newton's method begins: what most bodies need, whatever their size.
+_USUAL = {
+    "trunk": -0.05,
+    "thigh": 0.11,
+    "shank": -0.08,
+    "deltoids": 0.1,
+    "upper arm": 0.1,
+    "forearm": 0.07,
+    "head's breadth": 0.09,
+}
 # How much of a handle moves joints too, where not all of it does: the rest is flesh.
 _OF_BONE = {"deltoids": 0.0, "hips": 0.5, "buttocks": 0.0, "girth": 0.0}
 # Whose change a helper's skin takes on, in equal shares; of the data's bone heads, whose bone they lie on.
@@ -67,9 +77,10 @@ _NEXT = {"upperarm": "forearm", "forearm": "hand", "thigh": "shank", "shank": "f
 # Least squares of the errors' logarithms, where stature counts most, and of the handles'. The depth of the buttocks is held back:
 # it would take up all by which the lengths of a leg's parts contradict each other.
 _WEIGHT_OF_STATURE, _RIDGE, _RIDGE_OF_BUTTOCKS = 30.0, 2e-5, 1e-3
-_STEPS = (3, 1, 1)  # for each weight that is tried
+_STEPS = (2, 1, 1)  # for each weight that is tried
 _ERROR_OF_GIRTH = 0.04  # of the mass, below which girth mends it, without another shape
-_GIRTH_STEPS, _GIRTH_PER_ERROR, _MASS_ERROR = 4, 1.4, 0.005
+_GIRTH_STEPS, _GIRTH_PER_ERROR, _MASS_ERROR = 5, 1.4, 0.005
+_OFF_BEFORE = 0.04  # largest error of a measure before the last of Newton's steps, which leaves a fraction of it
 _MOST = 0.6  # logarithm of the largest factor
 # Genders, ages, muscles and weights at which volumes are tabulated. Much fat shows on little muscle alone.
 _BUILDS = ((0.0, 1.0), (-0.7, -0.35, 0.0, 0.5, 1.0), (0.0, 0.5, 1.0), (0.0, 0.5, 0.75, 1.0))
@@ -96,20 +107,20 @@ def _fit(phenotype: Phenotype) -> tuple[Phenotype, tuple[float, ...]]:
     size = _size(phenotype)
     space, target = load_shape_space(), np.array([size.stature_m, *size.dimensions_m])
     muscle, weight = _build(phenotype, size.mass_kg / BODY_DENSITY / rp.power(size.stature_m, 3))
-    handles = np.zeros(len(_HANDLES))
+    handles = np.array([_USUAL.get(name, 0.0) for name in _HANDLES])
     for steps in _STEPS:
         body = replace(phenotype, muscle=muscle, weight=weight)
         shape = _shaped(body)
-        _newton(space, shape, target, handles, steps)
+        off = _newton(space, shape, target, handles, steps)
         error = _mass_error(space, shape, handles, size)
         weight = min(max(body.weight + error / _slope(body), 0.0), 1.0)
         if abs(error) < _ERROR_OF_GIRTH or weight == body.weight:
             break
     for _ in range(_GIRTH_STEPS):  # what is left is girth
-        if abs(error) < _MASS_ERROR:
+        if abs(error) < _MASS_ERROR and off < _OFF_BEFORE:
             break
         handles[_GIRTH] = min(max(handles[_GIRTH] + _GIRTH_PER_ERROR * error, -_MOST), _MOST)
-        _newton(space, shape, target, handles, 1)
+        off = _newton(space, shape, target, handles, 1)
         error = _mass_error(space, shape, handles, size)
     return body, tuple(handles.tolist())
 
@@ -143,12 +154,14 @@ def _shaped(phenotype: Phenotype) -> Shape:
     return skin * np.float32(scale), heads * scale
 
 
-def _newton(space: ShapeSpace, shape: Shape, target: Floats, handles: Floats, steps: int) -> None:
-    """Change `handles` by Newton's steps towards the measures asked."""
+def _newton(space: ShapeSpace, shape: Shape, target: Floats, handles: Floats, steps: int) -> float:
+    """Change `handles` by Newton's steps towards the measures asked; the largest error before the last, as a logarithm."""
     jacobian, gain = _gain()
+    error = np.zeros(0)
     for _ in range(steps):
         error = rp.log(target / _measured(space, shape, handles))
         handles[:_GIRTH] = np.clip(rp.matmul(gain, error + rp.matmul(jacobian, handles[:_GIRTH])), -_MOST, _MOST)
+    return float(abs(error).max())
 
 
 def _measured(space: ShapeSpace, shape: Shape, handles: Floats) -> Floats:
