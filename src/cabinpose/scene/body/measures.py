@@ -24,6 +24,8 @@ from cabinpose.scene.body.shape import load_shape_space
 # biacromial breadth, and they lie 34.5 mm below (de Leva 1996).
 _ACROMION_M = (0.020 / 1.75, 0.0345 / 1.75)
 _ABOVE_BROWS_M, _ABOVE_EARS_M = (0.025, 0.075), 0.037  # above the eyes of the average adult
+# How far the upper arms are from the trunk (assumed): at half their length, of this radius, flesh yields by so much; at 1.75 m.
+_BELOW_SHOULDER_M, _ARM_RADIUS_M, _FLESH_YIELDS_M, _FARTHEST_APART = 0.15, 0.049, 0.025, 0.4
 _DIRECTIONS = 36  # in which the head's breadth is measured: Cauchy's formula for the hull's circumference
 
 
@@ -45,6 +47,7 @@ def measured_rows() -> MeasuredRows:
     on_leg = c.leg > 0.5
     sat_on = (c.arm < 0.5) & (c.up < 0.16) & (~on_leg | (c.along_leg < 0.6))
     regions = {
+        "trunk": (c.arm < 0.15) & ~on_leg & (c.up > 0.5) & (c.up < 0.62),
         "top": head & (height > 0.08),
         "soles": on_leg & (c.along_leg > 2.6),
         "sat_on": sat_on,
@@ -60,14 +63,21 @@ def measured_rows() -> MeasuredRows:
     return MeasuredRows(vertex, space.bone_index[vertex], space.bone_weight[vertex], MappingProxyType(at))
 
 
-@cache
-def _postures() -> tuple[Floats, Floats]:
-    """Standing and sitting: joint angles (D,)."""
-    standing, sitting = np.zeros(len(DOFS)), np.zeros(len(DOFS))
+def sitting_posture(skin: Floats32, rest: RestArrays, stature_m: float) -> Floats:
+    """Joint angles (D,) of who is measured sitting: the arms hang as near to the trunk as its flesh lets them.
+
+    skin: as in `measure`.
+    """
+    q = np.zeros(len(DOFS))
+    size = stature_m / 1.75
+    trunk = float(abs(skin[measured_rows().region["trunk"], 1]).max())
+    shoulder = float(rest.heads[BONE_INDEX["lupperarm"], 1])
+    apart = (trunk + (_ARM_RADIUS_M - _FLESH_YIELDS_M) * size - shoulder) / (_BELOW_SHOULDER_M * size)
     for side in "lr":
         for axis in ("hip.flexion", "knee.flexion", "elbow.flexion"):
-            sitting[DOF_INDEX[f"{side}{axis}"]] = np.pi / 2
-    return standing, sitting
+            q[DOF_INDEX[f"{side}{axis}"]] = np.pi / 2
+        q[DOF_INDEX[f"{side}shoulder.abduction"]] = rp.arcsin(min(max(apart, 0.0), _FARTHEST_APART))
+    return q
 
 
 def measure(skin: Floats32, rest: RestArrays) -> Floats:
@@ -77,17 +87,19 @@ def measure(skin: Floats32, rest: RestArrays) -> Floats:
     """
     rows = measured_rows()
     region, bare = rows.region, np.ascontiguousarray(skin)[None]
-    posed = []
-    for q in _postures():
+
+    def posed(q: Floats) -> tuple[Floats, Floats]:
         transforms, out = np.empty((len(BONES), 3, 4)), np.empty_like(bare)
         frames = main_frames(q, rest, np.eye(4))
         native.skin_transforms(q, rest, *frames, transforms)
         native.skin_layers(transforms, rows.bone_index, rows.bone_weight, bare, out)
-        posed.append((out[0].astype(np.float64), frames[1]))
-    (stand, stand_bones), (sit, _) = posed
+        return out[0].astype(np.float64), frames[1]
+
+    stand, bones = posed(np.zeros(len(DOFS)))
     stature = float(stand[region["top"], 2].max() - stand[region["soles"], 2].min())
+    sit, _ = posed(sitting_posture(skin, rest, stature))
     outwards, up = (share * stature for share in _ACROMION_M)
-    shoulder, elbow, wrist = (stand_bones[BONE_INDEX[name]] for name in ("lupperarm", "lforearm", "lhand"))
+    shoulder, elbow, wrist = (bones[BONE_INDEX[name]] for name in ("lupperarm", "lforearm", "lhand"))
     hand = stand[region["hand"]] - wrist
     knee, seat, head = sit[region["knee"]], sit[region["sat_on"]], sit[region["brows"]]
     turn = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)

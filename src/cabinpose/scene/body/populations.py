@@ -30,7 +30,7 @@ DIMENSIONS = MappingProxyType(
         "buttock_knee_length": "sitting: from the rearmost skin of the buttocks to the foremost of the knee",
         "knee_height_sitting": "sitting: from the sole to the highest skin above the kneecap",
         "biacromial_breadth": "sitting: between the skin over the two acromia",
-        "bideltoid_breadth": "sitting: across the upper arms, at their broadest",
+        "bideltoid_breadth": "sitting: across the upper arms, which hang as near to the trunk as flesh lets them",
         "hip_breadth_sitting": "sitting: across hips and thighs, at their broadest",
         "acromion_radiale_length": "standing: from the skin over the acromion to the elbow joint, arm down",
         "radiale_stylion_length": "from the elbow joint to the wrist joint",
