@@ -71,3 +71,58 @@ def test_arrows_are_of_the_tab_in_front_and_of_what_has_the_keyboard(
     page.evaluate("document.activeElement.blur()")
     page.keyboard.press("ArrowRight")
     seen(page, 1)
+
+
+@pytest.mark.slow
+def test_query_grid_histogram_and_export_by_keys(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """To a dataset of the frames of one view, found by a condition, seen in the grid, and narrowed by a bar."""
+    errors: list[str] = []
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.goto(start(dataset_folder).address)
+    seen(page, 0)
+    page.keyboard.press("/")
+    page.wait_for_function("document.activeElement.tagName === 'INPUT'")
+    page.keyboard.type("frame >= 2")
+    page.keyboard.press("Enter")
+    page.get_by_text("4 of 6 frames").wait_for()
+    page.keyboard.press("Escape")
+    page.keyboard.press("g")
+    page.wait_for_function("document.activeElement.className.includes('frame-grid')")
+    assert page.locator(".frame-thumb").count() == 4
+    page.wait_for_function("[...document.querySelectorAll('.frame-thumb img')].every((image) => image.naturalWidth > 0)")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("End")
+    page.get_by_text("frame 5", exact=True).wait_for()
+    page.keyboard.press("ArrowLeft")
+    page.get_by_text("frame 4", exact=True).wait_for()
+    page.keyboard.press("Enter")
+    seen(page, 4)
+    page.reload()
+    seen(page, 4)  # condition, frame and view stand in the address
+    page.get_by_text("4 of 6 frames").wait_for()
+    page.keyboard.press("h")
+    page.get_by_role("option", name="frame", exact=True).wait_for()
+    page.keyboard.type("frame")
+    while page.locator(".q-item.q-manual-focusable--focused").text_content() != "frame":
+        page.keyboard.press("ArrowDown")
+    page.keyboard.press("Enter")
+    bar = page.locator(".studio-bars .q-item")
+    bar.first.wait_for()
+    assert bar.count() == 4
+    while not page.evaluate("document.activeElement.closest('.studio-bars')"):
+        page.keyboard.press("Tab")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    page.get_by_text("1 of 6 frames").wait_for()
+    assert page.get_by_label("frames where").input_value() == "frame >= 2 and frame == 3"
+    page.keyboard.press("e")
+    page.get_by_text("1 frames are chosen").wait_for()
+    page.wait_for_function("document.activeElement.value === 'dataset-chosen'")
+    page.keyboard.press("Enter")
+    page.get_by_text("cabinpose studio dataset-chosen opens it").wait_for()
+    made, whole = open_dataset(dataset_folder.with_name("dataset-chosen")), open_dataset(dataset_folder)
+    np.testing.assert_array_equal(made["depth"].values, whole["depth"].values[3:4])
+    page.keyboard.press("e")
+    page.keyboard.press("Enter")
+    page.get_by_text("dataset-chosen is there already").wait_for()
+    assert errors == []

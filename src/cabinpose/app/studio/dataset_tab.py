@@ -13,22 +13,25 @@ from nicegui import run, ui
 from numpy.typing import NDArray
 
 from cabinpose.app.studio.canvas import GREY, IMAGE_KEYS, FrameCanvas
+from cabinpose.app.studio.choice import Choice, ChoiceDialog
 from cabinpose.app.studio.clouds import person_colour
-from cabinpose.app.studio.models import FrameErrors, frame_errors
+from cabinpose.app.studio.histogram import HistogramPanel, statistics_dialog
+from cabinpose.app.studio.models import FrameErrors, PredictedPeople, found_in, frame_errors
 from cabinpose.app.studio.pictures import CLASSES, DEPTHS, GREYS, IMAGES
 from cabinpose.app.studio.tab import Page, Tab, no_dataset
+from cabinpose.app.studio.thumbs import INSTANCES, FrameGrid
 from cabinpose.app.studio.view3d import FramePoints, look_through, skeleton_lines, view_3d
 from cabinpose.app.studio.workspace import depth_range
 from cabinpose.app.view.draw import VISIBILITY_COLOUR
-from cabinpose.app.view.summary import BIN_M, summarise
 from cabinpose.core import CabinposeError, ConfigError, Visibility, apply
-from cabinpose.store import PERSON_COLOUR, completions, dataset_skeleton, frames_where, label_colours, query_columns
+from cabinpose.store import completions, dataset_skeleton, frames_where, label_colours, query_columns
 
 _FILTERS = ("subject", "action", "car", "pov")
 _PAGE = 20  # frames
 _ANSWER_S = 2.0  # a browser that has not shown a frame by then is sent the next one all the same
 _STATES = {int(state): state.name.lower().replace("_", " ") for state in Visibility if state in VISIBILITY_COLOUR}
-_INSTANCES = [[30, 32, 38], *[list(colour) for colour in PERSON_COLOUR]]
+_FOUND = "#ff4fd8"  # predictions: no person and no joint is drawn so
+_LEGEND = f'<span style="background: {_FOUND}"></span> predicted <span style="background: {person_colour(0)}"></span> truth'
 
 
 class DatasetTab:
@@ -55,9 +58,12 @@ class DatasetTab:
                 self._build_side()
             with ui.column().classes("studio-main"):
                 self._build_main()
+        self._offer_histograms(page.address.get("dataset.histogram"))
         self._filter()
         if begin is not None and (places := np.flatnonzero(self._dataset["frame"].values[self._rows] == begin)).size:
             self._go(int(places[0]))
+        self._predictions.value = page.remembered("dataset.errors", list(self._workspace.predictions))
+        ui.keyboard(on_key=self._key, repeating=False, ignore=["input", "select", "textarea"])
         ui.timer(1.0, self._look)
 
     def _build_side(self) -> None:
@@ -73,6 +79,7 @@ class DatasetTab:
             .classes("w-full")
             .mark("where")
             .on("keydown.enter", self._ask)
+            .on("keydown.escape", js_handler="(event) => event.target.blur()")
             .on("clear", self._ask)
             .on("blur", self._ask)
         )
@@ -101,25 +108,34 @@ class DatasetTab:
             for field in (self._over, self._worst):
                 field.style("flex: 1; min-width: 0")
             self._sorted = ui.checkbox("sort", value=True, on_change=self._filter)
-        self._by_error.visible = False
+        with ui.row().classes("no-wrap items-center w-full") as self._with_found:
+            self._drawn = ui.checkbox("predictions", value=True, on_change=self._show).mark("predictions drawn")
+            ui.html(_LEGEND, sanitize=False).classes("studio-legend")
+        self._by_error.visible = self._with_found.visible = False
+        self._histogram = HistogramPanel(self._columns, self._narrow, self._page.remember)
         self._count = ui.label()
         ui.separator()
         names = [name for name in IMAGES if name in self._dataset]
-        self._image = ui.select(names, value="depth", label="image", on_change=self._show).props("dense outlined")
+        image = self._page.remembered("dataset.image", names) or "depth"
+        self._image = ui.select(names, value=image, label="image", on_change=self._look_anew).props("dense outlined")
         self._image.style("width: 100%")
         with ui.row().classes("no-wrap items-center w-full"):
             self._skeleton = ui.checkbox("skeletons", value=True, on_change=self._show)
-            self._auto = ui.checkbox("colours by frame", value=True, on_change=self._show)
+            self._auto = ui.checkbox("colours by frame", value=True, on_change=self._look_anew)
         near, far = depth_range(self._dataset, 0)
         self._range = ui.range(min=0.0, max=round(max(4.0, far), 2), step=0.01, value={"min": near, "max": far}).props("label")
-        self._range.on_value_change(self._show)
+        self._range.on_value_change(self._look_anew)
         ui.separator()
         self._facts = ui.html(sanitize=False).classes("studio-facts w-full")
         ui.button("Label this frame", icon="edit", on_click=self._label_this).props("outline dense no-caps").classes("w-full")
+        self._dialog = ChoiceDialog(self._workspace, self._choice)
+        ui.button("Take these frames out", icon="output", on_click=self._dialog.open).props("outline dense no-caps").classes(
+            "w-full"
+        )
         ui.button("Statistics", icon="bar_chart", on_click=self._statistics).props("outline dense no-caps").classes("w-full")
 
     def _build_main(self) -> None:
-        with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch"):
+        with ui.row().classes("no-wrap w-full").style("flex: 1; min-height: 0; gap: 10px; align-items: stretch") as self._panes:
             with ui.element("div").classes("studio-pane"):
                 self._canvas = FrameCanvas(on_pressed=self._steps(), on_loaded=self._loaded).mark("frame")
             with ui.element("div").classes("studio-pane") as pane:
@@ -127,7 +143,14 @@ class DatasetTab:
                 with self._scene:
                     self._points = FramePoints()
                 pane.on("resize", self._scene.update)
+        with ui.element("div").classes("w-full").style("flex: 1; min-height: 0") as self._many:
+            size = self._dataset.sizes["x"], self._dataset.sizes["y"]
+            self._grid = FrameGrid(size, self._go, self._toggle_grid).mark("grid")
+        self._many.visible = self._page.address.get("dataset.view") == "grid"
+        self._panes.visible = not self._many.visible
         with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
+            grid = ui.button(icon="grid_view", on_click=self._toggle_grid).props("flat round dense aria-label=grid")
+            grid.tooltip("All in a grid, or one frame: g")
             ui.button(icon="chevron_left", on_click=lambda: self._go(self._position - 1)).props("flat round dense")
             self._slider = ui.slider(min=0, max=1, value=0, on_change=lambda e: self._go(int(e.value))).mark("frames")
             self._slider.style("flex: 1")
@@ -152,7 +175,9 @@ class DatasetTab:
                 self._errors = await run.io_bound(frame_errors, self._workspace, self._dataset, str(name))
             except CabinposeError as error:
                 ui.notify(error.in_one_line(), type="negative", multi_line=True)
-        self._by_error.visible = self._errors is not None
+        self._by_error.visible = self._with_found.visible = self._errors is not None
+        self._page.remember({"dataset.errors": name or ""})
+        self._offer_histograms()
         if self._errors is not None:
             self._over.props(f'label="over, {self._errors.unit}"')
         self._filter()
@@ -167,6 +192,9 @@ class DatasetTab:
         errors = self._errors
         return self._stored if errors is None else {**self._stored, f"error_{errors.unit}": errors.d}
 
+    def _offer_histograms(self, chosen: str | None = None) -> None:
+        self._histogram.offer([name for name in self._columns() if name != "pov"], chosen)
+
     def _typed(self) -> None:
         self._query.set_autocomplete(completions(self._columns(), self._query.value or ""))
 
@@ -175,6 +203,68 @@ class DatasetTab:
             self._condition = condition
             self._page.remember({"dataset.where": condition})
             self._filter()
+
+    def _narrow(self, condition: str) -> None:
+        """Ask for one thing more."""
+        old = self._condition
+        self._query.value = condition if not old else f"({old}) and {condition}" if " or " in old else f"{old} and {condition}"
+        self._ask()
+
+    def _choice(self) -> Choice:
+        """The frames that are chosen, and by what."""
+        words = [self._condition] if self._condition else []
+        words += [f"{name} in {select.value}" for name, select in self._filters.items() if select.value]
+        if self._state.value is not None:
+            words.append(f"{self._joint.value or 'a joint'} {_STATES[self._state.value]}")
+        if self._errors is not None and (self._over.value is not None or self._worst.value is not None):
+            over = "" if self._over.value is None else f" over {self._over.value:g} {self._errors.unit}"
+            worst = "" if self._worst.value is None else f", the {self._worst.value:g} worst"
+            words.append(f"error of {self._predictions.value}{over}{worst}")
+        return Choice(self._dataset["frame"].values[self._rows], "; ".join(words))
+
+    def _key(self, event: Any) -> None:
+        """What letters do, wherever on the page, unless they are written into a field."""
+        does = {
+            "g": self._toggle_grid,
+            "p": self._toggle_found,
+            "/": self._to_query,
+            "h": self._histogram.open,
+            "e": self._dialog.open,
+        }
+        held = event.modifiers.ctrl or event.modifiers.alt or event.modifiers.meta
+        if self._page.front() == TAB.name and event.action.keydown and not held and str(event.key) in does:
+            does[str(event.key)]()
+
+    def _to_query(self) -> None:
+        self._query.run_method("focus")
+
+    def _toggle_found(self) -> None:
+        self._drawn.value = not self._drawn.value
+
+    def _toggle_grid(self) -> None:
+        """Show all frames that are chosen in a grid, or the one in front large."""
+        grid = not self._many.visible
+        self._many.visible, self._panes.visible = grid, not grid
+        self._page.remember({"dataset.view": "grid" if grid else ""})
+        self._shown_at = None
+        self._show()
+        if grid:
+            self._fill_grid()
+            self._grid.focus()
+
+    def _look_anew(self) -> None:
+        """Another image, or other colours."""
+        self._page.remember({"dataset.image": self._image.value})
+        self._fill_grid()
+        self._show()
+
+    def _fill_grid(self) -> None:
+        if not self._many.visible:
+            return
+        limits = "" if self._auto.value else f"?near={self._range.value['min']:.2f}&far={self._range.value['max']:.2f}"
+        notes = [] if self._errors is None else [self._errors.words(row) for row in self._rows.tolist()]
+        url = self._workspace.thumbs_url(str(self._image.value))
+        self._grid.show(url, limits, self._dataset["frame"].values[self._rows], notes)
 
     def _filter(self) -> None:
         """Choose the frames that fit; those of before stay where the condition is none."""
@@ -198,6 +288,8 @@ class DatasetTab:
         if self._errors is not None:
             self._rows = self._errors.choose(self._rows, self._over.value, self._worst.value, by_error=self._sorted.value)
         self._slider.props(f"max={max(len(self._rows) - 1, 1)}")
+        self._histogram.show(self._rows)
+        self._fill_grid()
         self._go(0)
 
     def _go(self, position: int) -> None:
@@ -268,14 +360,23 @@ class DatasetTab:
         frame = self._small.isel(frame=row).load()
         self._number.text = f"frame {int(frame['frame'])}"
         self._page.remember({"dataset.frame": int(frame["frame"])})
-        self._next = self._ahead()
-        self._show_image(row)
-        self._canvas.joints(people_of(frame) if self._skeleton.value else [], self._limbs)
-        self._show_cloud(frame)
+        self._grid.choose(self._position)
+        if not self._many.visible:
+            self._next = self._ahead()
+            found = self._found(int(frame["frame"]))
+            self._show_image(row)
+            people = people_of(frame) if self._skeleton.value else []
+            self._canvas.joints(people + ([] if found is None else found.drawn(_FOUND)), self._limbs)
+            self._show_cloud(frame, found)
         error = [] if self._errors is None else [("error", self._errors.words(row))]
         self._facts.content = "".join(
             f"<div><span>{escape(name)}</span><span>{escape(value)}</span></div>" for name, value in (*error, *_facts(frame))
         )
+
+    def _found(self, number: int) -> PredictedPeople | None:
+        """Whom the predictions find whose error is chosen, while they are to be drawn."""
+        name = self._predictions.value
+        return found_in(self._workspace.predictions[name], number) if self._errors is not None and self._drawn.value else None
 
     def _ahead(self) -> list[int]:
         """Numbers of the frames that arrow keys come to next, that of the way which was gone first."""
@@ -294,7 +395,7 @@ class DatasetTab:
             near, far, palette = 0.0, float(np.quantile(self._dataset[name][row].values, 0.995)) or 1.0, GREY
         else:
             near, far = 0.0, 255.0
-            palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else _INSTANCES
+            palette = label_colours(self._dataset).tolist() if name == CLASSES[0] else INSTANCES
         url = self._workspace.url(int(self._dataset["frame"].values[row]), str(name))
         if self._answers and url != self._url:
             self._shown_at = time.monotonic()
@@ -302,11 +403,13 @@ class DatasetTab:
         ahead = [self._workspace.url(number, str(name)) for number in self._next]
         self._canvas.show(url, near=near, far=far, palette=palette, ahead=ahead)
 
-    def _show_cloud(self, frame: Any) -> None:
+    def _show_cloud(self, frame: Any, found: PredictedPeople | None) -> None:
         depth = self._image.value if self._image.value in DEPTHS else "depth"
         vehicle_from_camera = frame["vehicle_from_camera"].values
         places = apply(vehicle_from_camera, frame["joints_3d"].values.astype(np.float64))
         people = [skeleton_lines(person, self._limbs, person_colour(index)) for index, person in enumerate(places)]
+        if found is not None:
+            people += [skeleton_lines(person, found.limbs, _FOUND) for person in apply(vehicle_from_camera, found.xyz)]
         url = self._workspace.cloud_url
         self._points.show(url(int(frame["frame"]), depth), people, [url(number, depth) for number in self._next[:1]])
         if not self._camera_set:
@@ -314,23 +417,7 @@ class DatasetTab:
             look_through(self._scene, vehicle_from_camera)
 
     def _statistics(self) -> None:
-        workspace = self._workspace
-        assert workspace.manifest is not None
-        assert workspace.folder is not None
-        chosen = self._dataset.isel(frame=self._rows) if len(self._rows) else self._dataset
-        summary = summarise(self._dataset, workspace.manifest, workspace.folder, chosen)
-        with ui.dialog().props("maximized") as dialog, ui.card().style("width: 100%"):
-            with ui.row().classes("items-center w-full"):
-                ui.label(f"{summary.selected} of {summary.frames} frames").style("font-size: 18px; flex: 1")
-                ui.button(icon="close", on_click=dialog.close).props("flat round dense")
-            with ui.row().classes("w-full").style("gap: 12px"):
-                for title in ("by_car", "by_pov", "by_seat", "by_people", "by_subject", "by_action", "visibility"):
-                    counts: dict[str, int] = getattr(summary, title)
-                    _bars(title.replace("by_", "").replace("pov", "view"), list(counts), list(counts.values()))
-                bins = [f"{i * BIN_M:.2f}" for i in range(len(summary.depth_histogram))]
-                _bars("depth, m (share of pixels)", bins, list(summary.depth_histogram))
-        dialog.on("hide", dialog.delete)
-        dialog.open()
+        statistics_dialog(self._workspace, self._dataset, self._rows)
 
 
 def people_of(frame: Any) -> list[dict[str, Any]]:
@@ -360,19 +447,6 @@ def _facts(frame: Any) -> list[tuple[str, str]]:
     return rows
 
 
-def _bars(title: str, names: list[str], values: list[Any]) -> None:
-    ui.echart(
-        {
-            "title": {"text": title, "textStyle": {"fontSize": 13}},
-            "grid": {"left": 48, "right": 12, "top": 34, "bottom": 60},
-            "tooltip": {"trigger": "axis"},
-            "xAxis": {"type": "category", "data": names, "axisLabel": {"rotate": 40}},
-            "yAxis": {"type": "value"},
-            "series": [{"type": "bar", "data": values, "color": "#3b82c4"}],
-        }
-    ).style("width: 400px; height: 260px")
-
-
 def _build(page: Page) -> None:
     if page.workspace.dataset is None:
         no_dataset(page.workspace.recording, "Open one that was generated, recorded or imported:", "cabinpose studio DATASET")
@@ -383,6 +457,9 @@ def _build(page: Page) -> None:
 _KEYS = (
     ("← →", "the frame before, the next one"), ("Page Up, Page Down", f"{_PAGE} frames back, on"),
     ("Home, End", "the first, the last"),
+    ("g", "all frames in a grid, or one large"), ("↑ ↓, Enter", "in the grid: a row up, down; show the frame"),
+    ("/, Esc", "write a condition; leave it"), ("h", "a histogram, whose bars narrow the condition"),
+    ("p", "draw the predictions, or not"), ("e", "take the frames out, as a dataset or a split"),
     ("Enter", "in the condition: the frames for which it holds"),
     ("Tab", "in the condition: take what it completes"), IMAGE_KEYS,
 )  # fmt: skip

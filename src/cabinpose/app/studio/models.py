@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.studio.workspace import Workspace
-from cabinpose.core import Predictor
+from cabinpose.core import Predictor, skeleton_of
 from cabinpose.estimate import packaged_detectors
 from cabinpose.estimate.remote import open_predictor
 from cabinpose.evaluate import (
@@ -144,6 +144,34 @@ def joint_places(
         frames = dataset["vehicle_from_camera"].values[rows].astype(float)  # (n, 4, 4)
         where = np.einsum("nij,nj->ni", frames[:, :3, :3], where) + frames[:, :3, 3]
     return JointPlaces(rows, where, error[rows, at], "xyz" if in_space else "uv")
+
+
+class PredictedPeople(NamedTuple):
+    """Whom predictions find in a frame. uv, xyz: (P, J, 2) px and (P, J, 3) m, camera frame, NaN where they are not sure enough ·
+    names: of the J joints · limbs: pairs of them.
+    """
+
+    uv: NDArray[np.float64]
+    xyz: NDArray[np.float64]
+    names: tuple[str, ...]
+    limbs: Sequence[tuple[int, int]]
+
+    def drawn(self, colour: str) -> list[dict[str, Any]]:
+        """As `FrameCanvas.joints` draws people whom nobody moves."""
+        places = [
+            [{"u": u, "v": v} if np.isfinite(u) else {"u": None, "v": None} for u, v in person] for person in self.uv.tolist()
+        ]
+        joints = [[{"name": name, **at} for name, at in zip(self.names, person, strict=True)] for person in places]
+        limbs = [list(limb) for limb in self.limbs]
+        return [{"colour": colour, "joints": each, "limbs": limbs, "fixed": True, "dashed": True} for each in joints]
+
+
+def found_in(model: Predictions, number: int) -> PredictedPeople:
+    """Whom predictions find in the frame of a number."""
+    batch = model.take(np.array([number]))
+    sure = (batch.presence[0] >= EvaluationOptions().presence)[..., None]
+    uv, xyz = (np.where(sure, values[0], np.nan).astype(np.float64) for values in (batch.joints_2d, batch.joints_3d))
+    return PredictedPeople(uv, xyz, tuple(model.joints), skeleton_of(model).limbs)
 
 
 def worst_first(d: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -35,7 +35,20 @@ body { --ink: #111; --edge: #767676; } body.body--dark { --ink: #eee; --edge: #8
 .studio-empty code, .studio-key { background: #8883; border-radius: 4px; padding: 1px 6px; font-size: 90%; }
 .studio-opened { opacity: .8; flex: 1; text-align: right; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
 .studio-group .q-item { min-height: 28px; padding: 0 4px; } .studio-side .q-field--with-bottom { padding-bottom: 0; }
+.studio-side ::-webkit-inner-spin-button { display: none; }
 .studio-side .q-field__bottom { position: static; transform: none; min-height: 0; padding: 2px 12px; }
+.studio-legend { font-size: 12px; opacity: .9; }
+.studio-legend span { display: inline-block; width: 14px; height: 4px; vertical-align: middle; }
+.studio-bars { flex: none; max-height: 240px; overflow-y: auto; flex-wrap: nowrap; }
+.studio-bars .q-item { width: 100%; flex: none; min-height: 22px; padding: 0 6px; font-size: 13px; gap: 8px; }
+.studio-bars .q-item { justify-content: space-between; }
+.studio-bars .q-item { border-radius: 3px; background: linear-gradient(to right, #4f9fd855 var(--share), #8881 var(--share)); }
+.frame-grid { overflow-y: auto; outline: none; padding: 2px; border-radius: 6px; }
+.frame-grid:focus-visible { outline: 2px solid #4f9fd8; }
+.frame-thumb { position: absolute; font: 11px system-ui, sans-serif; line-height: 18px; cursor: pointer; white-space: nowrap; }
+.frame-thumb img { display: block; image-rendering: pixelated; border-radius: 3px; background: #1b1e24; }
+.frame-thumb div { overflow: hidden; text-overflow: ellipsis; }
+.frame-thumb.chosen { font-weight: 600; } .frame-thumb.chosen img { outline: 3px solid #4f9fd8; outline-offset: -1px; }
 .studio-facts { font-size: 13px; } .studio-facts div { display: flex; gap: 8px; }
 .studio-facts span { min-width: 0; overflow-wrap: anywhere; }
 .studio-facts span:first-child { min-width: 90px; opacity: .7; }

@@ -18,6 +18,7 @@ from cabinpose.app.studio.canvas import input_routes
 from cabinpose.app.studio.clouds import cloud_routes
 from cabinpose.app.studio.page import shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
+from cabinpose.app.studio.thumbs import thumb_routes
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import ConfigError
 
@@ -56,6 +57,7 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     app = FastAPI(openapi_url=None)
     app.include_router(image_routes(workspace.of_key))
     app.include_router(cloud_routes(workspace.of_key))
+    app.include_router(thumb_routes(workspace.of_key))
     app.include_router(input_routes())
     shared = shared_by(workspace)
     for each in shared:

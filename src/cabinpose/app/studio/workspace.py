@@ -126,6 +126,10 @@ class Workspace:
         """Where the browser finds an image of the frame of a number."""
         return f"/frames/{self.key}/{number}/{image}"
 
+    def thumbs_url(self, image: str) -> str:
+        """Where the browser finds small images of frames, before their numbers."""
+        return f"/thumbs/{self.key}/{image}/"
+
     def cloud_url(self, number: int, depth: str) -> str:
         """Where the browser finds the cloud of a depth image of the frame of a number."""
         return f"/clouds/{self.key}/{number}/{depth}"
