@@ -44,7 +44,7 @@ _WARM = 3
 _FAR_PX = 6.0  # from the truth: a joint that a person would drag
 _SEED = 11
 _COUNTED = 150  # frames of which the joints to drag are counted
-_KEY_S, _POINT_S, _BUTTON_S, _THOUGHT_S = 0.28, 1.1, 0.1, 1.35  # keystroke-level model: Card, Moran and Newell 1980
+KEY_S, POINT_S, BUTTON_S, THOUGHT_S = 0.28, 1.1, 0.1, 1.35  # keystroke-level model: Card, Moran and Newell 1980
 _WATCH = """
 window.began = 0; window.put = [];
 addEventListener("keydown", () => { began = performance.now(); put = []; }, true);
@@ -183,7 +183,7 @@ def _labelling(frames: int, say: Say) -> dict[str, float]:
         say(f"generating {max(frames, _COUNTED)} frames")
         generate(SynthConfig(), max(frames, _COUNTED), dataset, seed=_SEED)
         truth = open_dataset(dataset)
-        wrong = [_far_joints(truth, model, row) for row in range(truth.sizes["frame"])]
+        wrong = [far_joints(truth, model, row) for row in range(truth.sizes["frame"])]
         size = truth.sizes["x"], truth.sizes["y"]
         took = []
         with studio(dataset) as address, page_of(1280, 800) as page:
@@ -212,11 +212,11 @@ def _labelling(frames: int, say: Say) -> dict[str, float]:
     return {
         "drags_per_frame": drags,
         "machine_s_per_frame": float(np.median(took)),
-        "keystroke_level_s_per_frame": _THOUGHT_S + drags * (_THOUGHT_S + 2 * _POINT_S + 2 * _BUTTON_S) + _KEY_S,
+        "keystroke_level_s_per_frame": THOUGHT_S + drags * (THOUGHT_S + 2 * POINT_S + 2 * BUTTON_S) + KEY_S,
     }
 
 
-def _far_joints(truth: xr.Dataset, model: Any, row: int) -> list[tuple[Any, Any]]:
+def far_joints(truth: xr.Dataset, model: Any, row: int) -> list[tuple[Any, Any]]:
     """Where the driver's joints were proposed and where they are (u, v) px, of those inside that lie too far from the truth."""
     joints = [str(name) for name in truth["joint"].values]
     found = model.predict(frame_batch(truth, slice(row, row + 1)))

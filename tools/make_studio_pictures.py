@@ -1,8 +1,8 @@
-"""The pictures of docs/studio.md: each tab in headless Chromium, light and dark.
+"""The pictures of docs/studio.md: each tab in headless Chromium, light and dark, as PNG, and as WebP where those of the page lie.
 
-    python -m tools.make_studio_pictures DATASET SCENE.yaml OUT [--sizes 1280x800 1920x1080]
+    python -m tools.make_studio_pictures DATASET SCENE.yaml OUT [--sizes 1280x800 1920x1080] [--webp docs/images]
 
-Needs Debian's chromium and playwright.
+Compare shows two models. Needs Debian's chromium and playwright.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 from typing import Literal
+
+from PIL import Image
 
 from benchmarks.studio import choose, page_of, studio
 
@@ -41,10 +43,15 @@ def pictures(dataset: Path, out: Path, size: str, scheme: Literal["light", "dark
                 choose(page, "proposals from", "in_car")
                 page.get_by_text("proposal", exact=True).first.wait_for()
             elif name == "Compare":
-                page.get_by_role("button", name="Run").click()
-                page.locator("tr", has_text="in_car").wait_for()
+                for model in ("in_car", "five_seats"):
+                    if model != "in_car":
+                        page.get_by_label("model", exact=True).click()
+                        page.get_by_role("option", name=model, exact=True).click()
+                    page.get_by_role("button", name="Run").click()
+                    page.locator("tr", has_text=model).wait_for()
             elif name == "Live":
-                page.get_by_role("checkbox", name="cloud").click()
+                for shown in ("cloud", "joints over time"):
+                    page.get_by_role("checkbox", name=shown).click()
                 page.get_by_role("button", name="Start").click()
                 page.wait_for_timeout(6000)
             page.wait_for_timeout(3000)
@@ -58,12 +65,18 @@ def main() -> None:
     parser.add_argument("scene", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--sizes", nargs="*", default=["1280x800", "1920x1080"])
+    parser.add_argument("--webp", type=Path, help="folder of studio-TAB.webp and studio-TAB-dark.webp, made of the first size")
     chosen = parser.parse_args()
     chosen.out.mkdir(parents=True, exist_ok=True)
     for size in chosen.sizes:
         for scheme in SCHEMES:
             scene_picture(chosen.scene, chosen.out, size, scheme)
             pictures(chosen.dataset, chosen.out, size, scheme)
+    if chosen.webp is not None:
+        for name in ("scene", *(tab.lower() for tab in TABS)):
+            for scheme, end in zip(SCHEMES, ("", "-dark"), strict=True):
+                picture = Image.open(chosen.out / f"studio-{name}-{chosen.sizes[0]}-{scheme}.png")
+                picture.convert("RGB").save(chosen.webp / f"studio-{name}{end}.webp", quality=82, method=6)
 
 
 if __name__ == "__main__":

@@ -90,3 +90,11 @@ def page(browser: Any) -> Iterator[Any]:
     yield opened
     context.close()
     assert errors == []
+
+
+@pytest.fixture(scope="session")
+def predicted(generated: Path) -> Path:
+    """What a packaged model finds in the generated frames; read only."""
+    file = generated.with_name("generated.in_car.jsonl")
+    assert main(["predict", str(generated), "--model", "in_car", "--out", str(file)]) == 0
+    return file

@@ -106,3 +106,65 @@ def test_a_click_that_brings_the_keyboard_places_nothing(page: Any, start: Calla
     page.keyboard.press("Escape")
     page.keyboard.press("Tab")  # out of the image, to what comes after it
     assert page.evaluate("document.activeElement.className").find("frame-canvas") < 0
+
+
+@pytest.mark.slow
+def test_ten_frames_and_two_models_by_keys_alone(
+    page: Any, start: Callable[..., Any], tmp_path: Path, run: Callable[..., Any]
+) -> None:
+    """Five frames, a reload, a kill -9, a new studio, five more: none is lost; then two models are compared."""
+    dataset = tmp_path / "ten"
+    run("synth", "--out", dataset, "--frames", 10, "--seed", 4, "scene.cars=[suv]")
+    files = [tmp_path / f"{model}.jsonl" for model in ("in_car", "five_seats")]
+    for file in files:
+        run("predict", dataset, "--model", file.stem, "--out", file)
+    server = start(dataset, "--predictions", *files)
+    open_label(page, server.address)
+    for frame in range(5):
+        seen(page, frame)
+        page.keyboard.press("h" if frame % 2 else "s")  # the head's state, by hand
+        page.keyboard.press("Enter")
+    seen(page, 5)
+    page.reload()
+    seen(page, 5)
+    address = page.url.partition("?")[2]
+    server.kill()
+    assert labelled(dataset) == {(frame, "driver") for frame in range(5)}
+    again = start(dataset, "--predictions", *files)
+    page.goto(f"{again.address}?{address}")
+    for frame in range(5, 10):
+        seen(page, frame)
+        page.keyboard.press("Enter")
+    page.get_by_text("10 of 10 frames done").wait_for()
+    assert labelled(dataset) == {(frame, "driver") for frame in range(10)}
+    page.keyboard.press("Escape")
+    page.get_by_role("tab", name="Label").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    page.locator("tr", has_text="in_car").wait_for()
+    worst = page.get_by_text(re.compile(r"^frame \d+: in_car .* cm, five_seats .* cm$"))
+    worst.first.wait_for()
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.innerText").startswith("frame"):
+            break
+    second = str(worst.nth(1).inner_text())
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    page.get_by_text(second.partition(":")[0], exact=True).wait_for()  # the frame that is shown
+
+
+@pytest.mark.slow
+def test_a_list_that_is_opened_at_once_is_seen(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """While the image still takes the keyboard, after a choice: whoever clicks another list keeps it."""
+    open_label(page, start(dataset_folder).address)
+    for wait_ms in (0, 30, 80, 150, 250, 380):
+        page.get_by_label("joints").click()
+        page.get_by_role("option", name="all joints" if wait_ms % 4 else "upper body").click()
+        page.wait_for_timeout(wait_ms)
+        page.get_by_label("person").click()
+        page.get_by_role("option", name="driver").wait_for(timeout=5_000)
+        page.wait_for_timeout(500)
+        assert page.get_by_role("option", name="driver").is_visible(), wait_ms
+        page.keyboard.press("Escape")
+        page.get_by_role("option").first.wait_for(state="hidden")

@@ -54,6 +54,8 @@ export default {
     for (const [name, handler] of [["pointerdown", this.down], ["pointermove", this.move], ["pointerup", this.up], ["pointerleave", this.leave]])
       canvas.addEventListener(name, handler);
     canvas.addEventListener("dblclick", () => { this.view = null; this.kept = []; this.draw(); this.keep(); });
+    this.leaveFocus = (event) => { if (!this.$refs.box.contains(event.target)) this.keeping.forEach(clearTimeout); };
+    document.addEventListener("pointerdown", this.leaveFocus, true);
     this.toFront = () => { this.frontSince = performance.now(); };
     window.addEventListener("focus", this.toFront);
     if (this.inputs) document.addEventListener("keydown", this.key);
@@ -67,6 +69,7 @@ export default {
     this.observer.disconnect();
     window.removeEventListener("beforeunload", this.leaving);
     window.removeEventListener("focus", this.toFront);
+    document.removeEventListener("pointerdown", this.leaveFocus, true);
     document.removeEventListener("keydown", this.key);
     document.removeEventListener("keydown", this.press);
     this.keeping.forEach(clearTimeout);
@@ -204,8 +207,9 @@ export default {
           if (!there(j)) return;
           const [sx, sy] = at([joint.u, joint.v]), chosen = this.selected && this.selected[0] === p && this.selected[1] === j;
           c.beginPath(); c.arc(sx, sy, (chosen ? 6 : 4) * ratio, 0, 7);
-          c.fillStyle = joint.colour || person.colour; c.fill();
-          c.lineWidth = (chosen ? 2.5 : 1) * ratio; c.strokeStyle = chosen ? "#fff" : "#111"; c.stroke();
+          c.fillStyle = joint.guessed ? "#000a" : joint.colour || person.colour; c.fill(); // a ring: what is there is hidden
+          c.lineWidth = (chosen || joint.guessed ? 2.5 : 1) * ratio; c.strokeStyle = joint.guessed ? joint.colour : chosen ? "#fff" : "#111"; c.stroke();
+          if (joint.guessed && chosen) { c.beginPath(); c.arc(sx, sy, 8 * ratio, 0, 7); c.lineWidth = 1.5 * ratio; c.strokeStyle = "#fff"; c.stroke(); }
           if (joint.doubt) { c.beginPath(); c.arc(sx, sy, 10 * ratio, 0, 7); c.strokeStyle = "#ff3bd4"; c.lineWidth = 1.5 * ratio; c.stroke(); }
           if (chosen) {
             c.font = `${13 * ratio}px sans-serif`; c.lineWidth = 3 * ratio; c.strokeStyle = "#000c"; c.fillStyle = "#fff";

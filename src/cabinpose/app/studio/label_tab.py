@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 
+from cabinpose.app.label.agreement import work_of
 from cabinpose.app.label.labelling import Labelling, Shown, Undone
 from cabinpose.app.studio.canvas import GREY, IMAGE_KEYS, FrameCanvas, Input
 from cabinpose.app.studio.clouds import person_colour
@@ -27,11 +28,17 @@ _STATE_KEYS = {
     "v": Visibility.VISIBLE, "s": Visibility.SELF_OCCLUDED, "h": Visibility.OCCLUDED, "o": Visibility.OUTSIDE_IMAGE,
     "x": Visibility.ABSENT,
 }  # fmt: skip
+_STATE_WORDS = {
+    Visibility.VISIBLE: "visible", Visibility.SELF_OCCLUDED: "self-occluded, guessed", Visibility.OCCLUDED: "hidden, guessed",
+    Visibility.OUTSIDE_IMAGE: "outside", Visibility.ABSENT: "absent",
+}  # fmt: skip
+_GUESSED = (Visibility.SELF_OCCLUDED, Visibility.OCCLUDED)
 _NUDGE = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
 _KEYS = (
     ("click", "place the chosen joint, and go to the next"), ("drag", "move a joint"),
     ("Tab", "next joint; Shift: the one before"),
-    ("v s h o x", "visible, self-occluded, hidden, outside, absent"), ("arrows", "move it by 1 px; Shift: 5 px"),
+    ("v s h o x", "visible, self-occluded, hidden (its place is guessed), outside, absent"),
+    ("arrows", "move it by 1 px; Shift: 5 px"),
     ("Enter", "accept all that is shown, and go to the next frame"), ("c", "copy from the last labelled frame"),
     ("i", "interpolate up to the next labelled frame"), ("z", "undo"), ("f b", "next frame, the one before"),
     ("Esc", "leave the image: Tab goes through the page"),
@@ -68,10 +75,14 @@ class LabelTab:
                 with ui.element("div").classes("studio-pane w-full"):
                     self._canvas = FrameCanvas(editable=True, keeps="label.zoom", on_input=self._input)
                 with ui.row().classes("no-wrap items-center w-full").style("gap: 10px; padding: 0 4px"):
-                    ui.button(icon="chevron_left", on_click=lambda: self._go(-1)).props("flat round dense").tooltip("b")
+                    ui.button(icon="chevron_left", on_click=lambda: self._go(-1)).props(
+                        "flat round dense aria-label='the frame before'"
+                    ).tooltip("b")
                     self._slider = ui.slider(min=0, max=max(len(self._queue) - 1, 1), value=0, on_change=self._slid)
                     self._slider.style("flex: 1")
-                    ui.button(icon="chevron_right", on_click=lambda: self._go(1)).props("flat round dense").tooltip("f")
+                    ui.button(icon="chevron_right", on_click=lambda: self._go(1)).props(
+                        "flat round dense aria-label='next frame'"
+                    ).tooltip("f")
                     self._number = ui.label().style("min-width: 230px; text-align: right; font-variant-numeric: tabular-nums")
         ui.timer(0.0, self._go_on, once=True)
         ui.timer(1.0, self._look_for_others)
@@ -122,7 +133,7 @@ class LabelTab:
         with ui.row().classes("no-wrap w-full items-center"):
             self._saved = ui.label().style("font-size: 12px; opacity: .7; flex: 1")
             Exchange(self._workspace, self._labelling, self._page.of_studio(Passing), self._show)
-            ui.button(icon="history", on_click=self._history).props("flat round dense").tooltip("history of this frame")
+            ui.button(icon="history", on_click=self._history).props("flat round dense").tooltip("who labelled what, and when")
 
     # ------------------------------------------------------------------------------------------------ what is asked for
 
@@ -243,16 +254,28 @@ class LabelTab:
         await self._reorder(self._row)
 
     def _history(self) -> None:
-        """What was done to the person in this frame, by whom, newest first."""
-        number = int(self._labelling.numbers[self._row])
-        changes = [c for c in self._labelling.labels.history if (c.frame, c.person) == (number, self._person)][::-1]
-        with ui.dialog() as dialog, ui.card():
+        """What was done to the person in this frame, newest first, and who did what in all frames."""
+        number, history = int(self._labelling.numbers[self._row]), self._labelling.labels.history
+        changes = [c for c in history if (c.frame, c.person) == (number, self._person)][::-1]
+        with ui.dialog() as dialog, ui.card().style("max-width: 760px"):
             ui.label(f"frame {number}, {self._person}").style("font-weight: 600")
             if not changes:
                 ui.label("nothing was changed here")
-            rows = [{"time": c.time[:19], "role": c.role, "how": c.how, "joint": c.joint} for c in changes[:500]]
+            rows = [{"time, UTC": c.time[:19], "role": c.role, "how": c.how, "joint": c.joint} for c in changes[:500]]
             if rows:
                 ui.table(rows=rows).props("dense flat")
+            ui.label("all frames").style("font-weight: 600")
+            works = [
+                {
+                    "role": work.role, "frames": work.frames, "joints": work.joints, "first, UTC": work.first[:16],
+                    "last, UTC": work.last[:16], "how": ", ".join(f"{count} {how}" for how, count in work.how.items()),
+                }
+                for work in work_of(history)
+            ]  # fmt: skip
+            if works:
+                ui.table(rows=works).props("dense flat wrap-cells").mark("works")
+            else:
+                ui.label("nobody has labelled yet")
         dialog.on("hide", dialog.delete)
         dialog.open()
 
@@ -421,7 +444,8 @@ class _JointRow:
             ui.label(joint).style("flex: 1")
             with ui.icon("warning", color="pink") as self._warning:
                 self._doubt = ui.tooltip()
-            self._origin = ui.label().style("opacity: .6; font-size: 12px")
+            self._state = ui.label().style("font-size: 12px; opacity: .8")
+            self._origin = ui.label().style("opacity: .7; font-size: 12px; min-width: 52px; text-align: right")
 
     def show(self, shown: Shown, *, chosen: bool) -> None:
         """shown: of this joint."""
@@ -431,6 +455,7 @@ class _JointRow:
         self._now = now
         self._dot.style(f"background: {_COLOUR.get(state, '#0000')}")
         self._warning.visible, self._doubt.text = bool(shown.doubt), shown.doubt
+        self._state.text = _STATE_WORDS[state] if shown.label is not None else ""
         self._origin.text = {"label": "", "none": "to place"}.get(shown.origin, shown.origin)
         self._row.style("background: " + ("#2f6f9f44" if chosen else "#0000"))
 
@@ -444,6 +469,7 @@ def _drawn(shown: Shown) -> dict[str, Any]:
         "v": float(label.uv[1]) if label is not None and there else None,
         "colour": _COLOUR.get(label.visibility, "#808080") if label is not None else "#808080",
         "doubt": bool(shown.doubt),
+        "guessed": label is not None and label.visibility in _GUESSED,
     }
 
 

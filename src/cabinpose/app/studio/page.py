@@ -23,11 +23,16 @@ body { font-family: system-ui, sans-serif; }
 .frame-canvas > div:empty { display: none; }
 .frame-canvas { outline: none; } .frame-canvas:focus-visible { outline: 2px solid #4f9fd8; outline-offset: -2px; }
 body { --ink: #111; --edge: #767676; } body.body--dark { --ink: #eee; --edge: #8c8c8c; --q-primary: #74b6e6 !important; }
-@layer theme { .body--dark .bg-primary { background: #2f6f9f !important; } } /* the first layer's outdoes Quasar's */
+/* what is important in the first layer outdoes Quasar's */
+@layer theme { .body--dark .bg-primary { background: #2f6f9f !important; } .q-chip__icon { opacity: 1 !important; } }
 .q-field--outlined .q-field__control:before { border-color: var(--edge) !important; }
 .q-slider__track { background: var(--edge) !important; } .q-checkbox__bg, .q-toggle__track { opacity: 1; }
 .q-field__label, .q-field__native::placeholder { color: var(--ink) !important; opacity: .75; }
-:focus-visible { outline: 2px solid var(--q-primary); outline-offset: 1px; } .q-header :focus-visible { outline-color: #fff; }
+@layer theme {
+  :focus-visible:not(input, textarea, .frame-canvas) { outline: 2px solid var(--q-primary) !important; outline-offset: 1px; }
+  .q-header :focus-visible { outline-color: #fff !important; }
+}
+.body--dark .q-slider__text, .body--dark .q-checkbox__svg { color: #111; }
 .studio-trouble { color: #b3261e; } .body--dark .studio-trouble { color: #ff9c91; }
 .q-notifications__list--bottom { bottom: 56px; } /* above the line that says how it goes */
 .studio-empty { max-width: 40rem; margin: 12vh auto; text-align: center; gap: 12px; opacity: .85; }
