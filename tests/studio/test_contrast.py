@@ -37,7 +37,7 @@ def shown(page: Any, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_all_words_and_controls_have_the_contrast_of_wcag_aa(
-    browser: Any, start: Callable[..., Any], dataset_folder: Path, predicted: Path, theme: str
+    browser: Any, start: Callable[..., Any], dataset_folder: Path, predicted: Path, tmp_path: Path, theme: str
 ) -> None:
     """And no request leaves this machine, and the console stays empty."""
     asked: list[str] = []
@@ -61,10 +61,22 @@ def test_all_words_and_controls_have_the_contrast_of_wcag_aa(
     page.get_by_text("through the page", exact=True).wait_for()
     page.wait_for_timeout(500)
     _, wrong["?"] = page.evaluate(_CONTRAST)
+    here = {address.split("/")[2]}
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("scene:\n  cars: [suv]\n")
+    address = start(scene).address
+    here.add(address.split("/")[2])
+    page.goto(address)
+    page.get_by_role("button", name="Accept").click()
+    page.wait_for_timeout(3000)
+    for name in ("Keys", "People"):
+        page.get_by_role("tab", name=name).click()
+        page.wait_for_timeout(1000)
+        count, wrong[name] = page.evaluate(_CONTRAST)
+        assert count > 30, name
     context.close()
     assert {name: each for name, each in wrong.items() if each} == {}
-    here = address.split("/")[2]
-    assert [url for url in asked if url.split("/")[2] != here and not url.startswith(("data:", "blob:"))] == []
+    assert [url for url in asked if url.split("/")[2] not in here and not url.startswith(("data:", "blob:"))] == []
     assert said == []
 
 

@@ -152,19 +152,3 @@ def test_ten_frames_and_two_models_by_keys_alone(
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
     page.get_by_text(second.partition(":")[0], exact=True).wait_for()  # the frame that is shown
-
-
-@pytest.mark.slow
-def test_a_list_that_is_opened_at_once_is_seen(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
-    """While the image still takes the keyboard, after a choice: whoever clicks another list keeps it."""
-    open_label(page, start(dataset_folder).address)
-    for wait_ms in (0, 30, 80, 150, 250, 380):
-        page.get_by_label("joints").click()
-        page.get_by_role("option", name="all joints" if wait_ms % 4 else "upper body").click()
-        page.wait_for_timeout(wait_ms)
-        page.get_by_label("person").click()
-        page.get_by_role("option", name="driver").wait_for(timeout=5_000)
-        page.wait_for_timeout(500)
-        assert page.get_by_role("option", name="driver").is_visible(), wait_ms
-        page.keyboard.press("Escape")
-        page.get_by_role("option").first.wait_for(state="hidden")

@@ -206,10 +206,14 @@ export default {
         person.joints.forEach((joint, j) => {
           if (!there(j)) return;
           const [sx, sy] = at([joint.u, joint.v]), chosen = this.selected && this.selected[0] === p && this.selected[1] === j;
+          const colour = joint.colour || person.colour;
           c.beginPath(); c.arc(sx, sy, (chosen ? 6 : 4) * ratio, 0, 7);
-          c.fillStyle = joint.guessed ? "#000a" : joint.colour || person.colour; c.fill(); // a ring: what is there is hidden
-          c.lineWidth = (chosen || joint.guessed ? 2.5 : 1) * ratio; c.strokeStyle = joint.guessed ? joint.colour : chosen ? "#fff" : "#111"; c.stroke();
-          if (joint.guessed && chosen) { c.beginPath(); c.arc(sx, sy, 8 * ratio, 0, 7); c.lineWidth = 1.5 * ratio; c.strokeStyle = "#fff"; c.stroke(); }
+          c.fillStyle = joint.hidden ? "#000b" : colour; c.fill();
+          c.lineWidth = (chosen ? 2.5 : 1) * ratio; c.strokeStyle = chosen ? "#fff" : "#111"; c.stroke();
+          if (joint.hidden) { // a ring: what is there is not seen
+            c.beginPath(); c.arc(sx, sy, (chosen ? 8 : 5) * ratio, 0, 7); c.lineWidth = 2 * ratio; c.strokeStyle = colour; c.stroke();
+            c.beginPath(); c.arc(sx, sy, (chosen ? 9.5 : 6.5) * ratio, 0, 7); c.lineWidth = ratio; c.strokeStyle = "#111"; c.stroke();
+          }
           if (joint.doubt) { c.beginPath(); c.arc(sx, sy, 10 * ratio, 0, 7); c.strokeStyle = "#ff3bd4"; c.lineWidth = 1.5 * ratio; c.stroke(); }
           if (chosen) {
             c.font = `${13 * ratio}px sans-serif`; c.lineWidth = 3 * ratio; c.strokeStyle = "#000c"; c.fillStyle = "#fff";

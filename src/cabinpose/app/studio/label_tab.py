@@ -29,10 +29,10 @@ _STATE_KEYS = {
     "x": Visibility.ABSENT,
 }  # fmt: skip
 _STATE_WORDS = {
-    Visibility.VISIBLE: "visible", Visibility.SELF_OCCLUDED: "self-occluded, guessed", Visibility.OCCLUDED: "hidden, guessed",
+    Visibility.VISIBLE: "visible", Visibility.SELF_OCCLUDED: "self-occluded", Visibility.OCCLUDED: "hidden",
     Visibility.OUTSIDE_IMAGE: "outside", Visibility.ABSENT: "absent",
 }  # fmt: skip
-_GUESSED = (Visibility.SELF_OCCLUDED, Visibility.OCCLUDED)
+_HIDDEN = (Visibility.SELF_OCCLUDED, Visibility.OCCLUDED)
 _NUDGE = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
 _KEYS = (
     ("click", "place the chosen joint, and go to the next"), ("drag", "move a joint"),
@@ -469,7 +469,7 @@ def _drawn(shown: Shown) -> dict[str, Any]:
         "v": float(label.uv[1]) if label is not None and there else None,
         "colour": _COLOUR.get(label.visibility, "#808080") if label is not None else "#808080",
         "doubt": bool(shown.doubt),
-        "guessed": label is not None and label.visibility in _GUESSED,
+        "hidden": label is not None and label.visibility in _HIDDEN,
     }
 
 
