@@ -6,6 +6,7 @@ Tables, each of Markdown, with what is beyond its limit in bold:
  bands      the same by band
  adults     300 bodies of adults, measured on their mesh against what was asked of each
  children   300 bodies from 3 to 17 years, likewise
+ girths     circumferences, which are not asked for, of 60 men and 60 women of ANSUR II against its means
  reach      how many of a population are beyond what bodies can be
 
 --scale: a share of the draws and bodies, to try it quickly.
@@ -21,8 +22,11 @@ from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from trimesh import Trimesh
+from trimesh.intersections import mesh_plane
 
-from cabinpose.scene.body import DIMENSIONS, POPULATIONS, YEARS_LIMITS, BodyModel, Phenotype, load_population
+from cabinpose.scene.body import DIMENSIONS, DOFS, POPULATIONS, YEARS_LIMITS, BodyModel, Phenotype, load_chart, load_population
 
 Array = NDArray[np.float64]
 LIMIT_PERCENT = {"stature": 2.0, "mass": 5.0}  # of draws
@@ -30,6 +34,11 @@ LIMIT_OF_BODIES_PERCENT = 3.0
 PERCENTILES = (5, 50, 95)
 FILES = Path(__file__).resolve().parents[1] / "src/cabinpose/scene/body/assets/populations"
 SEED = 36
+# Means of ANSUR II (NATICK/TR-15/007), chest at the nipples, waist at the navel, buttocks, thigh and calf at their largest.
+GIRTHS_MM = {
+    "male": {"chest": 1058.7, "waist": 940.6, "buttocks": 1019.5, "thigh": 625.1, "calf": 392.3},
+    "female": {"chest": 946.9, "waist": 860.9, "buttocks": 1021.2, "thigh": 616.1, "calf": 373.3},
+}
 
 
 def rng() -> np.random.Generator:
@@ -140,11 +149,35 @@ def reach(scale: float) -> Iterator[list[str]]:
             yield [name, sex, f"{years[0]:g} to {years[1]:g}", f"{share:.2f}"]
 
 
+def girths(scale: float) -> Iterator[list[str]]:
+    """Circumferences, which no body was asked for, of soldiers against ANSUR II's means."""
+    yield ["sex", "circumference", "ANSUR II, mm", "bodies, mm", "off, %"]
+    model, chart = BodyModel.load(), load_chart()
+    trunk, leg = (chart.arm < 0.3) & (chart.neck < 0.5) & (chart.head < 0.5), (chart.leg > 0.5) & (chart.side >= 0)
+    # Along the trunk: 0 hip joints, 1 C7; along the leg: 0 hip, 1 knee.
+    places = [(trunk, chart.up, at) for at in (0.60, 0.27, -0.03)] + [(leg, chart.along_leg, at) for at in (0.25, 1.30)]
+    for sex, means in GIRTHS_MM.items():
+        generator, found = rng(), []
+        for _ in range(int(60 * scale)):
+            size = load_population("ansur").draw(rng=generator, sex=sex)
+            person = model.person(Phenotype.of_size(size, rng=generator))
+            skin, row = person.pose(np.zeros(len(DOFS)), np.eye(4)).skin.astype(np.float64), []
+            for mask, along, at in places:
+                height = float(np.median(skin[mask & (abs(along - at) < 0.05), 2]))
+                faces = person.skin_faces[mask[person.skin_faces].all(axis=1)]
+                ring = mesh_plane(Trimesh(skin, faces, process=False), [0, 0, 1], [0, 0, height]).reshape(-1, 3)
+                row.append(1000 * float(ConvexHull(ring[:, :2]).area))
+            found.append(row)
+        for (name, mean), value in zip(means.items(), np.mean(found, axis=0), strict=True):
+            yield [sex, name, f"{mean:.0f}", f"{value:.0f}", f"{100 * (value / mean - 1):.1f}"]
+
+
 TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "draws": draws,
     "bands": draws_by_band,
     "adults": lambda scale: bodies((18.0, 81.0), scale, ("nhanes", "ansur")),
     "children": lambda scale: bodies((3.0, 17.0), scale, ("nhanes", "cdc")),
+    "girths": girths,
     "reach": reach,
 }
 
