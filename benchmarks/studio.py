@@ -1,4 +1,6 @@
-"""The bench of the studio in headless Chromium: from a change of a scene to its pictures, and what labelling a frame takes."""
+"""The bench of the studio in headless Chromium: from a change of a scene to its pictures, what labelling a frame takes, and what
+arrow keys through a dataset do.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -54,6 +56,15 @@ OffscreenCanvasRenderingContext2D.prototype.putImageData = function (...all) {
   requestAnimationFrame(() => requestAnimationFrame(() => put.push(performance.now() - began)));  // once it is on the screen
 };
 """
+
+
+_WATCH_FRAMES = """() => {
+  const canvas = document.querySelector(".frame-canvas");
+  window.shown = []; window.seen = new Set(); let began = 0;
+  addEventListener("keydown", () => { began = performance.now(); }, true);
+  new MutationObserver(() => { seen.add(canvas.dataset.seen); shown.push(performance.now() - began); })
+    .observe(canvas, { attributes: true, attributeFilter: ["data-seen"] });
+}"""
 
 
 @contextmanager
@@ -117,8 +128,8 @@ def choose(page: Any, label: str, option: str) -> None:
                 raise
 
 
-def run(*, changes: int, frames: int, say: Say) -> dict[str, Any]:
-    """Move a joint of one of three people in an SUV with a child seat by keys, at 1280x800; then label generated frames.
+def run(*, changes: int, frames: int, scrolled: int, say: Say) -> dict[str, Any]:
+    """Move a joint of one of three people in an SUV with a child seat by keys at 1280x800, label frames, go through them.
 
     Parameters
     ----------
@@ -126,6 +137,8 @@ def run(*, changes: int, frames: int, say: Say) -> dict[str, Any]:
         Changes of the scene that are timed.
     frames
         Frames that are labelled in the browser.
+    scrolled
+        Frames that are gone through.
     say
         Called with what is being measured.
 
@@ -135,9 +148,10 @@ def run(*, changes: int, frames: int, say: Say) -> dict[str, Any]:
         preview: server_ms, that the server took to draw, and pictures_ms, from the key to all three pictures on the screen, as
         median and p95; server_cpu_ms, all that the server's process took of its processors for a change, as mean · labelling:
         drags_per_frame of 150 frames, machine_s_per_frame (the studio's own time, the script's moves of the mouse included),
-        keystroke_level_s_per_frame (what a person takes by the keystroke-level model).
+        keystroke_level_s_per_frame (what a person takes by the keystroke-level model) · scrolling: server_cpu_ms and kilobytes of
+        a frame, with its cloud; shown_ms, from the key to the image; skipped, frames that were not shown.
     """
-    return {"preview": _preview(changes, say), "labelling": _labelling(frames, say)}
+    return {"preview": _preview(changes, say), "labelling": _labelling(frames, say), "scrolling": _scrolling(scrolled, say)}
 
 
 def _preview(changes: int, say: Say) -> dict[str, Any]:
@@ -169,9 +183,39 @@ def _preview(changes: int, say: Say) -> dict[str, Any]:
                     facts = str(page.get_by_text(re.compile(r"\d+ ms$")).last.text_content())
                     server.append(float(facts.split(";")[-1].removesuffix(" ms")))
             mean = 1000 * (cpu_s(pid) - began) / changes
-    both = (("server_ms", server), ("pictures_ms", pictures))
-    told = {name: dict(zip(("median", "p95"), np.percentile(values, (50, 95)).tolist(), strict=True)) for name, values in both}
-    return {**told, "server_cpu_ms": mean}
+    return {"server_ms": _spread(server), "pictures_ms": _spread(pictures), "server_cpu_ms": mean}
+
+
+def _spread(values: Sequence[float]) -> dict[str, float]:
+    return dict(zip(("median", "p95"), np.percentile(values, (50, 95)).tolist(), strict=True))
+
+
+def _scrolling(frames: int, say: Say) -> dict[str, Any]:
+    """Go through generated frames by the right arrow, one key once the frame before is shown."""
+    with tempfile.TemporaryDirectory() as folder:
+        dataset = Path(folder) / "dataset"
+        say(f"generating {frames + 1} frames")
+        generate(SynthConfig(), frames + 1, dataset, seed=_SEED)
+        sent: list[float] = []
+        with studio_process(dataset) as (address, pid), page_of(1280, 800) as page:
+            page.goto(address)
+            page.locator(".frame-canvas[data-seen$='/0/depth']").wait_for()
+            page.wait_for_timeout(3000)
+            page.evaluate(_WATCH_FRAMES)
+            watch = page.context.new_cdp_session(page)
+            watch.send("Network.enable")
+            watch.on("Network.loadingFinished", lambda event: sent.append(event["encodedDataLength"]))
+            watch.on("Network.webSocketFrameReceived", lambda event: sent.append(len(event["response"]["payloadData"])))
+            began = cpu_s(pid)
+            for number in range(1, frames + 1):
+                say(f"frame {number} of {frames}")
+                page.keyboard.press("ArrowRight")
+                page.wait_for_function(f"shown.length >= {number}", polling=10)
+            page.wait_for_timeout(2000)  # the cloud follows
+            used = cpu_s(pid) - began
+            shown, seen = page.evaluate("[shown, seen.size]")
+    figures = {"server_cpu_ms": 1000 * used / frames, "kilobytes": sum(sent) / frames / 1000}
+    return {**figures, "shown_ms": _spread(shown), "skipped": frames - seen}
 
 
 def _labelling(frames: int, say: Say) -> dict[str, float]:

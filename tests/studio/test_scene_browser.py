@@ -208,7 +208,8 @@ def test_3d_view_is_drawn_only_when_it_changes(studio: Any) -> None:
 @pytest.mark.slow
 def test_small_bench_has_every_figure(browser: Any) -> None:
     assert browser.is_connected()
-    command = [sys.executable, "-m", "cabinpose", "bench", "studio", "--changes", "2", "--frames", "1", "--json"]
+    flags = ["--changes", "2", "--frames", "1", "--scrolled", "5", "--json"]
+    command = [sys.executable, "-m", "cabinpose", "bench", "studio", *flags]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
@@ -216,6 +217,10 @@ def test_small_bench_has_every_figure(browser: Any) -> None:
     assert 0 < preview["server_ms"]["median"] < preview["pictures_ms"]["median"] <= preview["pictures_ms"]["p95"]
     assert 0 < labelling["drags_per_frame"] < 14
     assert labelling["keystroke_level_s_per_frame"] == pytest.approx(1.63 + 3.75 * labelling["drags_per_frame"])
+    scrolling = figures["scrolling"]
+    assert scrolling["skipped"] == 0
+    assert 0 < scrolling["shown_ms"]["median"] <= scrolling["shown_ms"]["p95"]
+    assert 100 < scrolling["kilobytes"] < 1000
 
 
 @pytest.mark.slow

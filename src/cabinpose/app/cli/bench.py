@@ -101,12 +101,14 @@ class BenchLive(PrintsJson):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchStudio(PrintsJson):
-    """Measure the studio in headless Chromium: from a change of a scene to its pictures, and what labelling a frame takes."""
+    """Measure the studio in headless Chromium: from a change of a scene to its pictures, labelling, arrow keys through frames."""
 
     changes: int = 20
     """Changes of the scene that are timed."""
     frames: int = 12
     """Frames that are labelled in the browser."""
+    scrolled: int = 200
+    """Frames that are gone through by arrow keys."""
 
 
 COMMAND = one_of(

@@ -18,6 +18,7 @@ from cabinpose.core import FORWARD_FROM_CAMERA, CabinposeError, FrameBatch, appl
 from cabinpose.store import PERSON_COLOUR, camera_of
 
 MOST_POINTS = 60_000  # of a cloud in the browser: more cost frames a second and show nothing new
+_EVERY = 7  # pixel tells how bright white is
 _FAR_MM = 32_767  # 16 bits
 MOST_LIVE = 12_000  # of a live cloud, which comes several times a second
 
@@ -48,7 +49,7 @@ def _shades(z: NDArray[np.floating], amplitude: NDArray[Any] | None) -> tuple[ND
     """What points are shaded by, amplitudes or else nearness, and that of white."""
     if amplitude is None:  # nearer is brighter
         amplitude = np.nan_to_num(1000 / np.maximum(z, 0.1)).astype(np.uint16)
-    return amplitude, float(np.quantile(amplitude, 0.99))
+    return amplitude, float(np.quantile(amplitude.ravel()[::_EVERY], 0.99))
 
 
 def live_cloud(frame: FrameBatch) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:

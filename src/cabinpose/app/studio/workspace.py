@@ -187,9 +187,12 @@ def open_workspace(thing: Path | None, *, labels: Path | None = None, role: str 
 
 def depth_range(dataset: xr.Dataset, row: int) -> tuple[float, float]:
     """Near and far end of the colours for a frame's depth, m."""
-    return draw.depth_range(dataset["depth"][row].values)
+    depth = dataset["depth"][row].values
+    step = max(round((depth.size / _ENOUGH) ** 0.5), 1)
+    return draw.depth_range(depth[::step, ::step])
 
 
+_ENOUGH = 100_000  # pixels, to tell the range of their depths
 _VANISHED = "bring it back to where it was, or end the studio and open another; labels are kept beside it"
 
 
