@@ -14,11 +14,11 @@ from cabinpose.app.report.numbers import number
 from cabinpose.app.studio.canvas import IMAGE_KEYS, FrameCanvas
 from cabinpose.app.studio.dataset_tab import people_of
 from cabinpose.app.studio.joint_chart import COLUMNS, box_chart, column, curve_chart, height, joint_chart, places_chart
-from cabinpose.app.studio.models import Judged, detectors, error_words, joint_places, judged, load_choice, worst_first
+from cabinpose.app.studio.models import Judged, detectors, error_words, found_in, joint_places, judged, load_choice, worst_first
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
 from cabinpose.app.studio.view3d import VIEW_KEYS, FramePoints, look_through, skeleton_lines, view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
-from cabinpose.core import CabinposeError, PoseBatch, apply, skeleton_of
+from cabinpose.core import CabinposeError, apply
 from cabinpose.evaluate import PEOPLE, EvaluationOptions, common_joints, joint_distances, predict_dataset, shared_places
 from cabinpose.store import Predictions, dataset_id, dataset_skeleton
 
@@ -360,11 +360,7 @@ class CompareTab:
             for joint in person["joints"]:
                 joint["colour"] = "#ffffff"
         for index, model in enumerate(workspace.predictions.values()):
-            batch = model.take(np.array([number_]))
-            own = skeleton_of(model).limbs
-            for p in range(len(model.persons)):
-                seen = [{"name": name, "u": _at(batch, p, j, 0), "v": _at(batch, p, j, 1)} for j, name in enumerate(model.joints)]
-                people.append({"colour": _colour(index), "joints": seen, "limbs": own, "fixed": True})
+            people += found_in(model, number_).drawn(_colour(index))
         near, far = depth_range(self._dataset, row)
         self._canvas.show(workspace.url(number_, "depth"), near=near, far=far)
         self._canvas.joints(people, limbs)
@@ -377,18 +373,13 @@ class CompareTab:
         places = apply(vehicle_from_camera, frame["joints_3d"].values.astype(np.float64))
         people = [skeleton_lines(person, dataset_skeleton(frame).limbs, "#ffffff") for person in places]
         for index, model in enumerate(workspace.predictions.values()):
-            batch = model.take(np.array([int(frame["frame"])]))
-            found = np.where(batch.presence[0, ..., None] >= _PRESENT, batch.joints_3d[0], np.nan).astype(np.float64)
-            limbs = skeleton_of(model).limbs
-            people += [skeleton_lines(person, limbs, _colour(index)) for person in apply(vehicle_from_camera, found)]
+            found = found_in(model, int(frame["frame"]))
+            people += [skeleton_lines(person, found.limbs, _colour(index)) for person in apply(vehicle_from_camera, found.xyz)]
         url = workspace.cloud_url(int(frame["frame"]), "depth") if "depth" in self._dataset else ""
         self._points.show(url, people)
         if not self._eye_set:
             self._eye_set = True
             look_through(self._cloud, vehicle_from_camera)
-
-
-_PRESENT = EvaluationOptions().presence
 
 
 def _colour(index: int) -> str:
@@ -402,11 +393,6 @@ def _key(colour: str, words: str) -> None:
             f"width: 12px; height: 12px; flex: none; border: 1px solid var(--edge); border-radius: 3px; background: {colour}"
         )
         ui.label(words)
-
-
-def _at(batch: PoseBatch, person: int, joint: int, axis: int) -> float | None:
-    value = float(batch.joints_2d[0, person, joint, axis])
-    return value if np.isfinite(value) and batch.presence[0, person, joint] >= _PRESENT else None
 
 
 def _build(page: Page) -> None:

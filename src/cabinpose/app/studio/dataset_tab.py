@@ -366,7 +366,7 @@ class DatasetTab:
             found = self._found(int(frame["frame"]))
             self._show_image(row)
             people = people_of(frame) if self._skeleton.value else []
-            self._canvas.joints(people + ([] if found is None else found.drawn(_FOUND)), self._limbs)
+            self._canvas.joints(people + ([] if found is None else found.drawn(_FOUND, dashed=True)), self._limbs)
             self._show_cloud(frame, found)
         error = [] if self._errors is None else [("error", self._errors.words(row))]
         self._facts.content = "".join(

@@ -156,14 +156,14 @@ class PredictedPeople(NamedTuple):
     names: tuple[str, ...]
     limbs: Sequence[tuple[int, int]]
 
-    def drawn(self, colour: str) -> list[dict[str, Any]]:
+    def drawn(self, colour: str, *, dashed: bool = False) -> list[dict[str, Any]]:
         """As `FrameCanvas.joints` draws people whom nobody moves."""
         places = [
             [{"u": u, "v": v} if np.isfinite(u) else {"u": None, "v": None} for u, v in person] for person in self.uv.tolist()
         ]
         joints = [[{"name": name, **at} for name, at in zip(self.names, person, strict=True)] for person in places]
         limbs = [list(limb) for limb in self.limbs]
-        return [{"colour": colour, "joints": each, "limbs": limbs, "fixed": True, "dashed": True} for each in joints]
+        return [{"colour": colour, "joints": each, "limbs": limbs, "fixed": True, "dashed": dashed} for each in joints]
 
 
 def found_in(model: Predictions, number: int) -> PredictedPeople:
