@@ -1,4 +1,6 @@
-"""Print the tables of docs/populations.md from the tree as it is: `python tools/body_tables.py [TABLE ...] [--scale SHARE]`.
+"""Print the tables of docs/populations.md and docs/joints.md from the tree as it is.
+
+    python tools/body_tables.py [TABLE ...] [--scale SHARE]
 
 Tables, each of Markdown, with what is beyond its limit in bold:
 
@@ -8,6 +10,9 @@ Tables, each of Markdown, with what is beyond its limit in bold:
  children   300 bodies from 3 to 17 years, likewise
  girths     circumferences, which are not asked for, of 60 men and 60 women of ANSUR II against its means
  reach      how many of a population are beyond what bodies can be
+ joints     lengths between joints of 200 adults a sex, as shares of stature, against what is published
+ child joints   the same of children
+ hips       distance of the femur heads by stature
 
 --scale: a share of the draws and bodies, to try it quickly.
 """
@@ -26,7 +31,18 @@ from scipy.spatial import ConvexHull
 from trimesh import Trimesh
 from trimesh.intersections import mesh_plane
 
-from cabinpose.scene.body import DIMENSIONS, DOFS, POPULATIONS, YEARS_LIMITS, BodyModel, Phenotype, load_chart, load_population
+from cabinpose.core import JOINTS
+from cabinpose.scene.body import (
+    DIMENSIONS,
+    DOFS,
+    POPULATIONS,
+    YEARS_LIMITS,
+    Anthropometry,
+    BodyModel,
+    Phenotype,
+    load_chart,
+    load_population,
+)
 
 Array = NDArray[np.float64]
 LIMIT_PERCENT = {"stature": 2.0, "mass": 5.0}  # of draws
@@ -172,6 +188,80 @@ def girths(scale: float) -> Iterator[list[str]]:
             yield [sex, name, f"{mean:.0f}", f"{value:.0f}", f"{100 * (value / mean - 1):.1f}"]
 
 
+# Lengths between joints over stature, men and women: values and their sources.
+LENGTHS: dict[str, tuple[tuple[str, str], tuple[tuple[float, float], str], ...]] = {
+    "thigh": (("lpelvis", "lknee"), ((0.2425, 0.2425), "de Leva 1996, men's"), ((0.2348, 0.2348), "ANSUR II, trochanterion")),
+    "shank": (("lknee", "lankle"), ((0.2384, 0.2475), "ANSUR II, epicondyle to malleolus"), ((0.2529, 0.2528), "de Leva 1996")),
+    "upper arm": (("lshoulder", "lelbow"), ((0.1618, 0.1586), "de Leva 1996")),
+    "forearm": (("lelbow", "lwrist"), ((0.1525, 0.1482), "ANSUR II, radiale to stylion"), ((0.1545, 0.1523), "de Leva 1996")),
+    "hand": (("lwrist", "lhand"), ((0.0495, 0.0450), "de Leva 1996, third knuckle")),
+    "shoulders apart": (("lshoulder", "rshoulder"), ((0.2083, 0.1975), "0.88 of ANSUR II's biacromial breadth")),
+    "femur heads apart": (("lpelvis", "rpelvis"), ((0.0911, 0.0983), "160 mm, CT 2010, over ANSUR II's stature")),
+}  # fmt: skip
+# Heights over stature of children: trochanterion and tibiale (Snyder 1977), and what lies on top of them (de Leva 1996).
+CHILD_HEIGHTS = {
+    4: (0.463, 0.237),
+    6: (0.491, 0.252),
+    8: (0.501, 0.257),
+    10: (0.518, 0.264),
+    12: (0.519, 0.269),
+    14: (0.517, 0.263),
+}
+ABOVE_TROCHANTERION, ABOVE_TIBIALE = 0.0032 / 1.741, 0.034 / 1.741
+
+
+def standing(size: Anthropometry, generator: np.random.Generator) -> tuple[dict[str, Array], float]:
+    """Joints by name of somebody who stands upright, over stature, above the ground; and the stature."""
+    person = BodyModel.load().person(Phenotype.of_size(size, rng=generator))
+    body = person.pose(np.zeros(len(DOFS)), np.eye(4))
+    ground = np.array([0.0, 0.0, float(body.skin[:, 2].min())])
+    return dict(zip(JOINTS, (body.joints - ground) / person.stature_m, strict=True)), person.stature_m
+
+
+def joints(scale: float) -> Iterator[list[str]]:
+    """Means and spreads of lengths between joints."""
+    yield ["length", "sex", "published", "source", "ours", "SD", "deviation, %"]
+    population = load_population("ansur")
+    for sex, column in (("male", 0), ("female", 1)):
+        generator = rng()
+        people = [standing(population.draw(rng=generator, sex=sex), generator)[0] for _ in range(int(200 * scale))]
+        for name, ((first, last), *sources) in LENGTHS.items():
+            lengths = np.array([np.linalg.norm(at[first] - at[last]) for at in people])
+            for values, source in sources:
+                off = 100 * (lengths.mean() / values[column] - 1)
+                figures = [f"{values[column]:.4f}", source, f"{lengths.mean():.4f}", f"{lengths.std():.4f}"]
+                yield [name, sex, *figures, marked(off, LIMIT_OF_BODIES_PERCENT)]
+
+
+def child_joints(scale: float) -> Iterator[list[str]]:
+    """Heights of children's hips and knees."""
+    yield ["years", "hip: published", "ours", "deviation, %", "knee: published", "ours", "deviation, %"]
+    population, generator = load_population("cdc"), rng()
+    for years, heights in CHILD_HEIGHTS.items():
+        ages = (float(years), years + 1.0)
+        people = [standing(population.draw(rng=generator, years=ages), generator)[0] for _ in range(int(60 * scale) or 1)]
+        row = [str(years)]
+        for joint, height, above in zip(("lpelvis", "lknee"), heights, (ABOVE_TROCHANTERION, ABOVE_TIBIALE), strict=True):
+            ours, asked = np.mean([at[joint][2] for at in people]), height + above
+            row += [f"{asked:.3f}", f"{ours:.3f}", marked(100 * (ours / asked - 1), LIMIT_OF_BODIES_PERCENT)]
+        yield row
+
+
+def hips(scale: float) -> Iterator[list[str]]:
+    """Distance of the femur heads."""
+    yield ["stature, m", "people", "femur heads apart, mm", "SD"]
+    generator = rng()
+    population = load_population("nhanes")
+    sizes = [population.draw(rng=generator, years=(3.0, 81.0)) for _ in range(int(400 * scale))]
+    found = np.array(
+        [(h, 1e3 * h * np.linalg.norm(at["lpelvis"] - at["rpelvis"])) for at, h in (standing(s, generator) for s in sizes)]
+    )
+    for low in np.arange(0.9, 2.0, 0.1):
+        chosen = found[(found[:, 0] >= low) & (found[:, 0] < low + 0.1), 1]
+        if len(chosen):
+            yield [f"{low:.1f} to {low + 0.1:.1f}", str(len(chosen)), f"{chosen.mean():.0f}", f"{chosen.std():.1f}"]
+
+
 TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "draws": draws,
     "bands": draws_by_band,
@@ -179,6 +269,9 @@ TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "children": lambda scale: bodies((3.0, 17.0), scale, ("nhanes", "cdc")),
     "girths": girths,
     "reach": reach,
+    "joints": joints,
+    "child joints": child_joints,
+    "hips": hips,
 }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cabinpose.core.skeleton import CABINPOSE, ITOP, SKELETONS, Skeleton
+from cabinpose.core.skeleton import CABINPOSE, ITOP, RIG, SKELETONS, Skeleton
 from cabinpose.scene.body import DOFS, SEGMENTS, SUBJECTS, BodyModel, PosedBody, joints_in_body
 
 
@@ -26,10 +26,10 @@ def test_every_joint_lies_in_the_body_and_opposite_its_partner(skeleton: Skeleto
 
 def test_itops_joints_are_where_their_definition_says(body: PosedBody) -> None:
     at = dict(zip(ITOP.joints, joints_in_body(ITOP, body), strict=True))
-    ours = dict(zip(CABINPOSE.joints, body.joints, strict=True))
+    rig = dict(zip(RIG.joints, body.rig_joints, strict=True))
     assert_allclose(at["neck"], (at["lshoulder"] + at["rshoulder"]) / 2)
     assert_allclose(at["torso"], (at["neck"] + (at["lhip"] + at["rhip"]) / 2) / 2)
     assert_allclose(at["head"], body.skin[body.person.skin_segment == SEGMENTS.index("head")].mean(axis=0), atol=1e-4)
     for theirs, mine in CABINPOSE.maps["itop"].items():
-        assert_allclose(at[mine], ours[theirs])
-    assert_allclose(at["lfoot"], ours["lankle"])
+        assert_allclose(at[mine], rig[theirs])
+    assert_allclose(at["lfoot"], rig["lankle"])

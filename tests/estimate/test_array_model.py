@@ -126,7 +126,8 @@ def test_a_file_answers_what_was_fitted(trained_mean: Path) -> None:
 
 def test_the_same_frames_give_the_same_bytes(trained_mean: Path, tmp_path: Path) -> None:
     model = ArrayModel(trained_mean)
-    write_arrays(tmp_path / "again.npz", "mean", model.config, model.arrays, name="run", card=model.metadata["card"])
+    known = {"name": "run", "card": model.metadata["card"], "joint_definition": model.metadata["joint_definition"]}
+    write_arrays(tmp_path / "again.npz", "mean", model.config, model.arrays, **known)
     assert (tmp_path / "again.npz").read_bytes() == trained_mean.read_bytes()
     assert [p.name for p in trained_mean.parent.iterdir()] == ["best.npz"]
 

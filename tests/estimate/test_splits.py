@@ -180,7 +180,7 @@ def test_stored_frames_of_several_datasets_follow_each_other() -> None:
 
 def test_joints_that_others_placed_are_learnt_with_a_warning() -> None:
     given = {"a": dataset(SEATS), "b": alone("A", "E", "E").assign_attrs(generator="import coco")}
-    with pytest.warns(UserWarning, match=r"placed differently: in a the MakeHuman .*; in b those of the file's annotators"):
+    with pytest.warns(UserWarning, match=r"placed differently: in a joint centres as .*; in b those of the file's annotators"):
         stored_frames(training_split(given, None, "train", "validate"), SPEC)
 
 

@@ -9,11 +9,24 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from cabinpose.core import Camera, ConfigError, DriveSide, Predictor, Segmenter, Visibility, camera_from, require_images
+from cabinpose.core import (
+    ANATOMY,
+    CABINPOSE,
+    Camera,
+    ConfigError,
+    DriveSide,
+    Predictor,
+    Segmenter,
+    Visibility,
+    camera_from,
+    has_joint_map,
+    require_images,
+    told_as,
+)
 from cabinpose.estimate import JointPredictor, LiftedPredictor, Lifter, lifted, open_model
 from cabinpose.estimate.remote import SCHEME, open_predictor
 from cabinpose.evaluate import check_predictions, model_name, trained_ranges
-from cabinpose.store import Predictions, image_names, read_predictions
+from cabinpose.store import Predictions, dataset_skeleton, image_names, read_predictions
 
 TRUTH = "truth"
 _FILES = (".jsonl", ".parquet")  # of predictions
@@ -98,6 +111,9 @@ def _fed(lifting: Lifter, dataset: xr.Dataset, source: str, dataset_names: Seque
     else:
         base = read_predictions(source)
         check_predictions(base, dataset, dataset_names)
+    placed = dataset_skeleton(dataset)
+    if base.skeleton == CABINPOSE.name and not base.joint_definition and has_joint_map(placed, CABINPOSE):
+        base = replace(base, joints_2d=told_as(base.joints_2d, base.joints, placed, CABINPOSE), joint_definition=ANATOMY)
     numbers = dataset["frame"].values.astype(np.int64)
     found = lifted(base.take(numbers), base.joints, _cameras(dataset), lifting, base.model)
     if source == TRUTH:  # true positions in the image are no answer
@@ -107,7 +123,7 @@ def _fed(lifting: Lifter, dataset: xr.Dataset, source: str, dataset_names: Seque
     return Predictions(
         **vars(found), frame=numbers, persons=base.persons,
         joints=base.joints, model=f"{base.model}+{lifting.name}", skeleton=base.skeleton, dataset=base.dataset,
-        trained_on=f"{base.trained_on} {trained_ranges(lifting, dataset)}".strip(),
+        trained_on=f"{base.trained_on} {trained_ranges(lifting, dataset)}".strip(), joint_definition=base.joint_definition,
     )  # fmt: skip
 
 

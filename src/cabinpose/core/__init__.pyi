@@ -57,6 +57,8 @@ from .intrinsics import RationalLens as RationalLens
 from .intrinsics import fit_camera as fit_camera
 from .intrinsics import fit_lens as fit_lens
 from .intrinsics import pixel_error as pixel_error
+from .joint_map import has_joint_map as has_joint_map
+from .joint_map import told_as as told_as
 from .onnx_file import check_onnx as check_onnx
 from .onnx_file import open_onnx as open_onnx
 from .onnx_file import run_onnx as run_onnx
@@ -82,6 +84,7 @@ from .segmentation import class_table as class_table
 from .segmentation import confusion as confusion
 from .segmentation import intersection_over_union as intersection_over_union
 from .segmentation import whole_person as whole_person
+from .skeleton import ANATOMY as ANATOMY
 from .skeleton import CABINPOSE as CABINPOSE
 from .skeleton import ITOP as ITOP
 from .skeleton import JOINTS as JOINTS
@@ -90,6 +93,7 @@ from .skeleton import MVN_JOINTS as MVN_JOINTS
 from .skeleton import MVN_SEGMENTS as MVN_SEGMENTS
 from .skeleton import NTU_JOINTS as NTU_JOINTS
 from .skeleton import OTHER_SKELETONS as OTHER_SKELETONS
+from .skeleton import RIG as RIG
 from .skeleton import SKELETONS as SKELETONS
 from .skeleton import UNKNOWN_SET as UNKNOWN_SET
 from .skeleton import OtherSkeletonName as OtherSkeletonName

@@ -197,8 +197,9 @@ def _same_in(other: str) -> dict[str, str]:
 CABINPOSE = Skeleton(  # ours of 20 joints
     name="cabinpose",
     title="cabinpose",
-    definition="the MakeHuman CMU rig's: head = C1 (skull base), neck = C7, chest = T8, hip = L5, lpelvis and rpelvis = the femur"
-    " heads",
+    definition="joint centres as anatomy has them (docs/joints.md): head = C1 at the skull base, neck = C7/T1, chest = T8,"
+    " hip = L5/S1, lpelvis and rpelvis = the femur heads, lhand and rhand = the third knuckles, lfoot and rfoot = the balls of"
+    " the feet",
     joints=JOINTS,
     parent={
         "head": "neck", "neck": "chest", "chest": "hip",
@@ -246,8 +247,18 @@ ITOP = Skeleton(  # ITOP's 15
     skin_m=_by_joint(_ITOP_JOINTS, _SKIN_M | {"hip": _SKIN_M["pelvis"]}),
 )  # fmt: skip
 
+ANATOMY = "anatomy"  # by which files call the definition of our joints; those that name none have `RIG`'s
+# Ours as versions up to 0.2 placed them: datasets, predictions and models of theirs do not say so.
+RIG = replace(
+    CABINPOSE, name="rig", title="cabinpose up to 0.2",
+    definition="bone heads of the MakeHuman CMU rig, as versions up to 0.2 have them: head = the skull base, neck = C7,"
+    " chest = T8, hip, lpelvis and rpelvis 2 to 6 cm from where anatomy has L5/S1 and the femur heads, lhand and rhand in the"
+    " carpus",
+    maps={},
+)  # fmt: skip
+
 # The sets by name; the first is that of the dataset standard's own joints, the others' are variables of their own.
-SKELETONS: MappingProxyType[str, Skeleton] = MappingProxyType({each.name: each for each in (CABINPOSE, ITOP)})
+SKELETONS: MappingProxyType[str, Skeleton] = MappingProxyType({each.name: each for each in (CABINPOSE, ITOP, RIG)})
 OTHER_SKELETONS = tuple(each for each in SKELETONS.values() if each != CABINPOSE)  # but ours
 if TYPE_CHECKING:
     SkeletonName: TypeAlias = str  # one of `SKELETONS`, as settings name it

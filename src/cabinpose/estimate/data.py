@@ -16,10 +16,10 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
-from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility, camera_from
+from cabinpose.core import CABINPOSE, RIG, SKELETONS, DatasetError, Visibility, camera_from, told_as
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import TICK_M, InputView, Kept, channels_first
-from cabinpose.store import frame_ranges, joint_dimension, joints_variable, merged_ranges
+from cabinpose.store import dataset_skeleton, frame_ranges, joint_dimension, joints_variable, merged_ranges
 
 _IMAGES = {"depth": 2, "amplitude": 2, "labels": 1, "rgb": 3}  # bytes of a pixel as it is kept
 _SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
@@ -70,6 +70,9 @@ class StoredFrames(Dataset[Kept]):
         self.trained_on = {str(i): frame_ranges(dataset["frame"].values) for i in [dataset.attrs.get("frames_id")] if i}
         self._dataset = dataset
         self._rows = slot_rows(dataset, spec)
+        self._of_rig = (
+            dataset_skeleton(dataset, spec.skeleton).definition == RIG.definition != SKELETONS[spec.skeleton].definition
+        )
         if keep is None:
             keep = fits_memory(dataset.sizes["frame"], spec)
         self._kept: dict[int, Kept] | None = {} if keep else None
@@ -84,6 +87,8 @@ class StoredFrames(Dataset[Kept]):
         if "vehicle_from_camera" in self._dataset:
             names.append("vehicle_from_camera")
         frame = {name: self._dataset.variables[name][index].values for name in names}  # coordinates would cost two thirds more
+        if self._of_rig:
+            frame["joints_3d"] = told_as(frame["joints_3d"], RIG.joints, RIG, CABINPOSE)
         kept = view_frame(frame, self.spec, self._rows)
         if self._kept is not None:
             self._kept[index] = kept

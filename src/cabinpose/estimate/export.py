@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from cabinpose.core import ModelError, make_folder, whole_file
 from cabinpose.estimate.array_model import ArrayModel, rewrite
 from cabinpose.estimate.half import halve
-from cabinpose.estimate.onnx_model import METADATA_KEY, TRAINED_ON, TrainedModel, open_session
+from cabinpose.estimate.onnx_model import JOINT_DEFINITION, METADATA_KEY, TRAINED_ON, TrainedModel, open_session
 from cabinpose.estimate.tasks import TASKS
 from cabinpose.estimate.training import Detector, load_detector
 
@@ -96,7 +96,7 @@ def write_onnx(
         _share(model.graph)
         settings = config.model_dump(mode="json")
         metadata = {"name": name, "method": method.name, "config": settings, "mirrored": mirrored, "card": dict(card)}
-        metadata[TRAINED_ON] = detector.trained_on
+        metadata |= {TRAINED_ON: detector.trained_on, JOINT_DEFINITION: detector.joint_definition}
         onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(metadata)})
         onnx.save(model, str(partial))
         difference = _difference(network, partial, examples, method.outputs)

@@ -12,7 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import POSE_ARRAYS, Camera, ConfigError, FrameBatch, PoseBatch, camera_doubts, depth_doubt, joined
+from cabinpose.core import (
+    ANATOMY,
+    CABINPOSE,
+    POSE_ARRAYS,
+    Camera,
+    ConfigError,
+    FrameBatch,
+    PoseBatch,
+    camera_doubts,
+    depth_doubt,
+    joined,
+    told_as,
+)
 from cabinpose.estimate.alternatives import ALTERNATIVES, Alternatives
 from cabinpose.estimate.expected_error import expected_errors, usual_errors
 from cabinpose.estimate.found import Found, mirrored
@@ -47,6 +59,7 @@ class JointPredictor:
         self.model, self.config = model, model.config
         self.name, self.persons, self.joints, self.skeleton = model.name, model.persons, model.joints, model.skeleton
         self.trained_on = model.trained_on
+        self.joint_definition = ANATOMY if model.skeleton == CABINPOSE.name else ""
         self._warned: set[str] = set()  # of what
         self._known: dict[Camera, _Known] = {}
         self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
@@ -270,7 +283,8 @@ class JointPredictor:
         return seen
 
     def poses(self, found: Found, cameras: Sequence[Camera]) -> PoseBatch:
-        """The joints in the frames' own cameras, from those in the view; a stage of `predict`.
+        """The joints in the frames' own cameras, as their set defines them, from those in the view, as the model has learnt
+        them; a stage of `predict`.
 
         Warns of the first camera whose field of view is another than the model's.
         """
@@ -278,7 +292,9 @@ class JointPredictor:
         joints_2d = np.empty_like(found.uv)
         for n, camera in enumerate(cameras):
             joints_2d[n] = view.pixels(found.uv[n], camera)
-        arrays = joints_2d, found.joints_3d, found.score, found.presence
+        learnt, meant = self.model.learnt, self.config.joint_set
+        places = [told_as(points, self.joints, learnt, meant) for points in (joints_2d, found.joints_3d)]
+        arrays = *places, found.score, found.presence
         expected = expected_errors(self.model.expected_error, self.joints, found)
         remarks = dict.fromkeys(doubt for camera in cameras for doubt in camera_doubts(camera))
         for doubt in dict.fromkeys(doubt for camera in cameras for doubt in view.doubts(camera)):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, Predictor, images_of
+from cabinpose.core import Camera, ConfigError, FrameBatch, PoseBatch, Predictor, images_of, told_as
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of
 from cabinpose.store import merged_ranges
 
@@ -25,10 +25,12 @@ class Lifter:
 
         NaN for people of fewer directions than the settings ask for.
         """
+        learnt, meant = self.model.learnt, self.config.joint_set
+        directions = told_as(directions, self.joints, meant, learnt)
         known = np.isfinite(directions).all(axis=-1, keepdims=True)
         pose = np.concatenate((np.where(known, directions, 0.0), known), axis=-1).astype(np.float32)
         joints: NDArray[np.float64] = self.model.run({"pose": pose})
-        return joints
+        return np.asarray(told_as(joints, self.joints, learnt, meant), np.float64)
 
 
 class LiftedPredictor:
@@ -41,6 +43,7 @@ class LiftedPredictor:
         """Raises ConfigError where base and lifting have no joint in common."""
         self.base, self._lifting = base, lifting
         self.name, self.persons, self.joints = f"{base.name}+{lifting.name}", base.persons, base.joints
+        self.joint_definition = getattr(base, "joint_definition", "")
         self.trained_on = merged_ranges(getattr(base, "trained_on", {}), lifting.trained_on)
         _common(base.joints, lifting, base.name)
 

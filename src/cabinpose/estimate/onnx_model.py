@@ -17,12 +17,16 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from cabinpose.core import (
+    ANATOMY,
+    CABINPOSE,
     IMAGES,
     NAMES,
+    RIG,
     Camera,
     ConfigError,
     FrameBatch,
     ModelError,
+    Skeleton,
     alike,
     camera_from,
     check_onnx,
@@ -38,6 +42,7 @@ from cabinpose.store import in_ranges
 METADATA_KEY = "cabinpose"
 DRIVE_SIDE = "drive_side"  # in the metadata
 TRAINED_ON = "trained_on"  # in the metadata, and in checkpoints: ranges of frames by the datasets' `frames_id`
+JOINT_DEFINITION = "joint_definition"  # in the metadata, and in checkpoints: how the joints lie that were learnt
 BATCH = 16  # frames that go through a network at a time
 
 
@@ -65,6 +70,8 @@ class TrainedModel(ABC):
         self.persons: tuple[str, ...] = tuple(self.config.slots)
         self.joints: tuple[str, ...] = tuple(self.config.joints)
         self.skeleton: str = self.config.joint_set.name
+        definition = self.metadata.get(JOINT_DEFINITION, "")  # what was trained up to version 0.2 says nothing
+        self.learnt: Skeleton = RIG if self.skeleton == CABINPOSE.name and definition != ANATOMY else self.config.joint_set
 
     @abstractmethod
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
@@ -72,7 +79,8 @@ class TrainedModel(ABC):
 
     def describe(self) -> dict[str, Any]:
         """What the file says of itself, as plain data: name, file, bytes, method, task, view, inputs, persons, joints, parts,
-        mirrored, drive_side, settings, expected_error (where its confidence was calibrated: data, frames, joints), trained_on
+        joint_definition, mirrored, drive_side, settings, expected_error (where its confidence was calibrated: data, frames,
+        joints), trained_on
         (ranges of frames by the `frames_id` of their datasets), card.
         """
         return {
@@ -85,6 +93,7 @@ class TrainedModel(ABC):
             "inputs": list(self.config.inputs),
             "persons": list(self.persons),
             "joints": list(self.joints),
+            JOINT_DEFINITION: self.learnt.definition,
             "parts": [part.name for part in getattr(self.config, "parts", ())],
             "mirrored": bool(self.metadata.get("mirrored", False)),
             DRIVE_SIDE: self.drive_side,

@@ -27,7 +27,7 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ConfigError, ModelError, check_archive, lock, make_folder, output_errors, write_whole
+from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, lock, make_folder, output_errors, write_whole
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import Mirror, mirrored_labels
 from cabinpose.estimate.batch import Batch, ray_tensor
@@ -37,7 +37,7 @@ from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.loggers import check_loggers, open_loggers
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
-from cabinpose.estimate.onnx_model import TRAINED_ON, packaged_models
+from cabinpose.estimate.onnx_model import JOINT_DEFINITION, TRAINED_ON, packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
 from cabinpose.estimate.train_config import Machines, Observers, Start, usable_precision, with_old_keywords
 from cabinpose.estimate.train_config import TrainConfig as TrainConfig
@@ -84,6 +84,7 @@ class Detector(lightning.LightningModule):
         self.register_buffer("rays", ray_tensor(self.method_config.view), persistent=False)
         self.register_buffer("mirror_labels", torch.from_numpy(mirrored_labels()), persistent=False)
         self._errors: list[np.ndarray] = []
+        self.joint_definition = ANATOMY  # of joints of ours; frames of older datasets are told so before they are learnt
         self.trained_on: dict[str, str] = {}  # see `data.trained_on`; of what the run began with, once it is saved of the run too
         self.learns_from: Frames | Sequence[Kept] = ()
         self.spare_batches = 0  # steps of the schedule beyond those that Lightning expects
@@ -123,10 +124,15 @@ class Detector(lightning.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Adds the frames that the weights have learnt from so far."""
         learnt = trained_on(self.learns_from, self.current_epoch + 1)
-        checkpoint[TRAINED_ON] = merged_ranges(self.trained_on, learnt)
+        checkpoint |= {TRAINED_ON: merged_ranges(self.trained_on, learnt), JOINT_DEFINITION: self.joint_definition}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Takes over what a run that goes on has learnt from."""
+        """Takes over what a run that goes on has learnt from. Raises ModelError for one that has learnt other joints."""
+        if checkpoint.get(JOINT_DEFINITION) != self.joint_definition:
+            raise ModelError(
+                "the run was begun by a version up to 0.2, whose joints lie elsewhere (docs/joints.md)",
+                hint="begin anew with --init and the run's best.ckpt",
+            )
         self.trained_on = dict(checkpoint.get(TRAINED_ON, {}))
 
     def configure_optimizers(self) -> Any:
@@ -332,7 +338,8 @@ def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: 
     card = {"frames": len(frames), "seed": config.seed} | {n: round(value, 2) for n, value in task.figures(errors).items()}
     make_folder(out)
     learnt = trained_on(training, 1)
-    known = {TRAINED_ON: learnt} if learnt else {}
+    known: dict[str, Any] = {TRAINED_ON: learnt} if learnt else {}
+    known[JOINT_DEFINITION] = ANATOMY
     write_arrays(best, method.name, settings, arrays, name=out.resolve().name, card=card, **known)
     return best
 
@@ -405,7 +412,8 @@ def _configuration(path: Path, checkpoint: Mapping[str, Any]) -> TrainConfig:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """What a checkpoint holds: {"config": plain data, "state": tensors by name, "trained_on": ranges of frames by dataset}.
+    """What a checkpoint holds: {"config": plain data, "state": tensors by name, "trained_on": ranges of frames by dataset,
+    "joint_definition": of the joints that it has learnt, "" up to version 0.2}.
 
     Raises ModelError.
     """
@@ -414,7 +422,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             check_archive(path)
         data = torch.load(path, map_location="cpu", weights_only=True)  # plain types and tensors: no code runs
         learnt = dict(data.get(TRAINED_ON, {}))
-        return {"config": data["hyper_parameters"]["config"], "state": data["state_dict"], TRAINED_ON: learnt}
+        state, definition = data["state_dict"], str(data.get(JOINT_DEFINITION, ""))
+        return {"config": data["hyper_parameters"]["config"], "state": state, TRAINED_ON: learnt, JOINT_DEFINITION: definition}
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         raise ModelError(f"cannot read {path}: {error.strerror}", hint="give best.ckpt or last.ckpt of a run") from error
     except Exception as error:  # torch raises whatever its unpickler does, in words that mislead
@@ -427,7 +436,7 @@ def load_detector(path: Path) -> Detector:
     """The trained detector of a checkpoint, ready to infer. Raises ModelError for a checkpoint of another network."""
     data = read_checkpoint(path)
     detector = Detector(_configuration(path, data))
-    detector.trained_on = data[TRAINED_ON]
+    detector.trained_on, detector.joint_definition = data[TRAINED_ON], data[JOINT_DEFINITION]
     try:
         detector.load_state_dict(data["state"])
     except RuntimeError as error:

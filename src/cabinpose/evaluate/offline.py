@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import (
+    ANATOMY,
     CABINPOSE,
     SKELETONS,
     UNKNOWN_SET,
@@ -23,10 +24,12 @@ from cabinpose.core import (
     Segmenter,
     Skeleton,
     Visibility,
+    has_joint_map,
     images_of,
     joined,
     require_images,
     skeleton_of,
+    told_as,
     unknown_name,
 )
 from cabinpose.evaluate.caveats import Caveats, Identity, remarks
@@ -91,18 +94,27 @@ def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predicto
     shared = [joint for joint in known.joints if all(joint in model.joints for model in models)]
     if not shared:
         raise PredictionsError("the models have no joint in common", hint="evaluate them one by one")
-    return SKELETONS[name].subset(shared).marked_by(known.definition)
+    ours = SKELETONS[name].subset(shared)
+    says = any(getattr(model, "joint_definition", "") == ANATOMY for model in models)
+    return ours if says and has_joint_map(known, ours) else ours.marked_by(known.definition)
 
 
 def truth_of(dataset: xr.Dataset, skeleton: Skeleton) -> xr.Dataset:
     """joints_2d, joints_3d and visibility of some joints of a set, with sequence and sync_ns.
 
-    Those of another set than the standard's are projected by each frame's camera; what hides them is not known, and those in the
+    Those of a dataset whose joints follow another definition than the set are told as the set's where a table is known. Those of
+    another set than the standard's are projected by each frame's camera; what hides them is not known, and those in the
     image count as visible.
     """
     times, joints = dataset[["sequence", "sync_ns"]], list(skeleton.joints)
     if skeleton.name == CABINPOSE.name:
-        return times.assign(dataset[["joints_2d", "joints_3d", "visibility"]].sel(joint=joints))
+        truth, placed = dataset[["joints_2d", "joints_3d", "visibility"]], dataset_skeleton(dataset)
+        if has_joint_map(placed, skeleton) and placed.definition != skeleton.definition:
+            places = {name: truth[name] for name in ("joints_2d", "joints_3d")}
+            truth = truth.assign(
+                {name: each.copy(data=told_as(each.values, placed.joints, placed, skeleton)) for name, each in places.items()}
+            )
+        return times.assign(truth.sel(joint=joints))
     points = dataset[joints_variable(skeleton.name)].sel({joint_dimension(skeleton.name): joints}).values
     width, height = int(dataset.attrs["width"]), int(dataset.attrs["height"])
     cameras = [camera_of(dataset.isel(frame=i), width, height) for i in range(len(points))]
@@ -243,8 +255,11 @@ def _caveats(
     absent = int((~np.isin(frames, model.frame)).sum()) if isinstance(model, Predictions) else 0
     if absent:
         notes.append(f"{absent} of {len(frames)} frames are not in the predictions: all their joints count as missed")
+    placed = dataset_skeleton(dataset, skeleton.name).definition
     if skeleton.definition != (stated := SKELETONS[skeleton.name].definition):
-        notes.append(f"the dataset's joints are {skeleton.definition}; the set {skeleton.name} is {stated}")
+        notes.append(f"the dataset's joints are {placed}; the set {skeleton.name} is {stated}")
+    elif placed != stated and placed:
+        notes.append(f"the dataset's joints are {placed}; they were told as those of the set {skeleton.name}: {stated}")
     learnt = int(in_ranges(trained_ranges(model, dataset), frames).sum())
     return Caveats(
         len(frames), len(frames) - absent, identity_of(model, dataset), explanations(trial), tuple(notes), trained_on=learnt
@@ -374,6 +389,7 @@ def predict_dataset(
     return Predictions(
         **vars(found), frame=dataset["frame"].values.astype(np.int64), persons=model.persons, joints=model.joints,
         model=model.name, skeleton=skeleton_of(model).name, dataset=dataset_id, trained_on=trained_ranges(model, dataset),
+        joint_definition=getattr(model, "joint_definition", ""),
     )  # fmt: skip
 
 

@@ -221,7 +221,8 @@ def found_only(batch: PoseBatch, presence: float) -> PoseBatch:
 
 def _near(given: PoseBatch, true_2d: Float, true_3d: Float, options: EvaluationOptions) -> Bool:
     """(F, P, J) whether a joint is within d of its truth: in 3D, or in the image where the answer has no 3D."""
-    near_2d = np.linalg.norm(given.joints_2d - true_2d, axis=-1) <= options.hit_px
+    with np.errstate(over="ignore"):  # joints beside the lens may be projected to anywhere
+        near_2d = np.linalg.norm(given.joints_2d - true_2d, axis=-1) <= options.hit_px
     near_3d = np.linalg.norm(given.joints_3d - true_3d, axis=-1) <= options.hit_m
     return np.where(errors.finite(given.joints_3d), near_3d, near_2d)
 

@@ -12,7 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from cabinpose.core import CABINPOSE, IMAGES, SKELETONS, Camera, DatasetError, Skeleton, Visibility, camera_from, skeleton_with
+from cabinpose.core import (
+    CABINPOSE,
+    IMAGES,
+    RIG,
+    SKELETONS,
+    Camera,
+    DatasetError,
+    Skeleton,
+    Visibility,
+    camera_from,
+    skeleton_with,
+)
 from cabinpose.store.schema import joint_dimension
 
 if TYPE_CHECKING:
@@ -56,7 +67,10 @@ def dataset_skeleton(dataset: xr.Dataset, name: str = CABINPOSE.name) -> Skeleto
         known = ", ".join(each for each in SKELETONS if joint_dimension(each) in dataset.coords)
         raise DatasetError(f"the dataset has no joints of the set {name}", hint=f"it has those of {known}")
     found = skeleton_with(tuple(map(str, dataset[dimension].values)), name)
-    placed_by = _PLACED_BY.get(str(dataset.attrs.get("generator")))
+    maker = str(dataset.attrs.get("generator"))
+    if name == CABINPOSE.name and maker == "cabinpose.synth" and not dataset.attrs.get("joint_definition"):
+        return found.marked_by(RIG.definition)
+    placed_by = _PLACED_BY.get(maker)
     return found if placed_by is None else found.marked_by(placed_by)
 
 

@@ -107,7 +107,7 @@ def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str,
     rejections: Counter[str] = Counter()
     for part in parts:
         rejections.update(part.rejections)
-    names = ("schema_version", "generator", "generator_version", "seed", "licence", "width", "height")
+    names = ("schema_version", "generator", "generator_version", "seed", "licence", "width", "height", "joint_definition")
     unbound = sum(part.dataset is None for part in parts)
     return {name: getattr(manifest, name) for name in names} | {
         "dataset_id": dataset_id(manifest),

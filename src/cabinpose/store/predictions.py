@@ -4,7 +4,8 @@ Two encodings of one table, a row for each joint found: JSON lines (`.jsonl`), o
 Columns: `frame` (number in the dataset), `person` (slot), `joint` (name), `u`, `v` (px, or null), `x`, `y`, `z` (m, camera frame;
 all three, or null), `score`, `presence` (0..1), `expected_error_m` (m, or null). A frame in which nobody can be seen has one row
 of `frame` and `reason`, behind all joints. The header holds `format`, `version`, `model`, `skeleton`, `joints`, `persons`, and,
-where the writer knows them, `dataset`, `remarks`, and `trained_on`, the frames that the model was trained on ("0-84 90").
+where the writer knows them, `dataset`, `remarks`, `trained_on`, the frames that the model was trained on ("0-84 90"), and
+`joint_definition`, "anatomy" where joints lie as docs/joints.md has them.
 In JSON lines the header is the first line and `{"rows": n}` the last, so that a file cut short is noticed; in Parquet the header
 is the value of the key `cabinpose` of the file's metadata.
 
@@ -31,7 +32,8 @@ FORMAT: Final = "cabinpose-predictions"
 VERSION: Final = 1
 _NUMBERS = ("u", "v", "x", "y", "z", "score", "presence", "expected_error_m")
 COLUMNS = ("frame", "person", "joint", *_NUMBERS, "reason")
-_HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset", "remarks", "trained_on")
+_WHERE_KNOWN = ("remarks", "trained_on", "joint_definition")
+_HEADER_KEYS = ("format", "version", "model", "skeleton", "joints", "persons", "dataset", *_WHERE_KNOWN)
 _PARQUET_KEY = b"cabinpose"
 _ROW_BYTES = 8 * len(COLUMNS)  # of a table in memory
 _PROBABILITY = "give a number from 0 to 1: per cent divided by 100, a logit through the logistic function"
@@ -45,7 +47,8 @@ class Predictions(NamedPoses):
     """The answers of one model: `PoseBatch`'s arrays over the frames numbered `frame` (F,) int64, in rising order.
 
     persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it · trained_on:
-    ranges of the dataset's frames that the model was trained on, as `frame_ranges` writes them, as far as it is known.
+    ranges of the dataset's frames that the model was trained on, as `frame_ranges` writes them, as far as it is known ·
+    joint_definition: `core.ANATOMY`, or "" where the joints are taken to be placed as the dataset's are.
     """
 
     frame: NDArray[np.int64]
@@ -55,6 +58,7 @@ class Predictions(NamedPoses):
     skeleton: str = "cabinpose"
     dataset: str | None = None
     trained_on: str = ""
+    joint_definition: str = ""
 
     @property
     def numbers(self) -> NDArray[np.int64]:
@@ -122,8 +126,10 @@ def write_predictions(path: Path | str, predictions: Predictions, *, overwrite: 
     """
     file = Path(path)
     check_new_predictions(file, overwrite=overwrite)
-    header = {"format": FORMAT, "version": VERSION} | {name: getattr(predictions, name) for name in _HEADER_KEYS[2:-2]}
-    header |= {name: value for name in _HEADER_KEYS[-2:] if (value := getattr(predictions, name))}
+    header = {"format": FORMAT, "version": VERSION} | {
+        name: getattr(predictions, name) for name in _HEADER_KEYS[2 : -len(_WHERE_KNOWN)]
+    }
+    header |= {name: value for name in _WHERE_KNOWN if (value := getattr(predictions, name))}
     with whole_file(file, kind=PredictionsError) as partial:
         if file.suffix == ".parquet":
             _write_parquet(partial, header, predictions)
@@ -377,7 +383,7 @@ def _dense(file: Path, columns: Mapping[str, list[Any]], header: Mapping[str, An
     return Predictions(
         **vars(replace(batch, remarks=remarks)), frame=frame, persons=persons, joints=joints, model=header["model"],
         skeleton=str(header.get("skeleton", "cabinpose")), dataset=header.get("dataset"),
-        trained_on=str(header.get("trained_on", "")),
+        trained_on=str(header.get("trained_on", "")), joint_definition=str(header.get("joint_definition", "")),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import cabinpose
-from cabinpose.core import Camera, Floats, Skeleton, apply, invert
+from cabinpose.core import ANATOMY, Camera, Floats, Skeleton, apply, invert
 from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THING_LABELS, ticam_class
 from cabinpose.scene.body import joints_in_body
 from cabinpose.scene.sensor import SensorFrame
@@ -162,6 +162,7 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         width=camera.width,
         height=camera.height,
         persons=person_slots(config),
+        joint_definition=ANATOMY,
         licence=config.output.licence,
         labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS if label.name not in absent]
         if things

@@ -181,7 +181,7 @@ class Live:
         return Predictions(
             **vars(found.map(lambda values: values[order])), frame=np.array(answers.numbers, np.int64)[order],
             persons=model.persons, joints=model.joints, model=model.name,
-            skeleton=skeleton_of(model).name,
+            skeleton=skeleton_of(model).name, joint_definition=getattr(model, "joint_definition", ""),
         )  # fmt: skip
 
 

@@ -84,6 +84,7 @@ def write_kept(kept: Sequence[Shown], root: Path) -> tuple[Path, list[Path]]:
             predictions = Predictions(
                 **vars(found), frame=np.array(rows, np.int64), persons=tuple(model.persons), joints=tuple(model.joints),
                 model=model.name, skeleton=skeleton_of(model).name, dataset=written,
+                joint_definition=getattr(model, "joint_definition", ""),
             )  # fmt: skip
             files.append(write_predictions(root / f"{folder.name}.predictions-{number}.jsonl", predictions))
     return folder, files

@@ -14,6 +14,7 @@ import numpy as np
 
 from cabinpose.core import Floats, Floats32, axis_rotation
 from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.anatomy import CENTRE
 from cabinpose.scene.body.chart import along_chain, load_chart
 from cabinpose.scene.body.coverage import step
 
@@ -39,12 +40,12 @@ class _Points(NamedTuple):
 def asymmetric(skin: Floats32, heads: Floats, named: Mapping[str, int], number: int) -> tuple[Floats32, Floats]:
     """A symmetric body's skin (V, 3) and bone heads (H, 3), m, with the differences between the sides of pattern `number`.
 
-    named: index of each of Anny's bone heads.
+    named: index of each of Anny's bone heads, and of joint centres.
     """
     rng = np.random.Generator(np.random.Philox(key=number))
     z = np.clip(rng.standard_normal(9), -_MOST, _MOST)
     c = load_chart()
-    names = sorted(named, key=named.__getitem__)
+    names = [name.removesuffix(CENTRE) for name in sorted(named, key=named.__getitem__)]
     of_skin, of_heads = {}, {}
     for side, sign in (("l", 1), ("r", -1)):
         for limb, share in (("arm", c.arm), ("leg", c.leg)):

@@ -17,7 +17,6 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, SEGMENTS
 from cabinpose.scene.body.shape import load_shape_space
-from cabinpose.scene.body.skeleton import rest_arrays
 
 _ARM = ("shoulder_half", "upperarm", "elbow", "forearm", "wrist", "hand", "finger")
 _LEG = ("hip_half", "thigh", "knee", "shank", "ankle", "foot")
@@ -64,7 +63,7 @@ def load_chart() -> Chart:
     """The chart of the packaged topology."""
     space = load_shape_space()
     skin, heads = space.shape(Phenotype())
-    _, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
+    origin = (heads[space.heads["lupperleg01"]] + heads[space.heads["rupperleg01"]]) / 2
     points = skin - origin
     dense = np.zeros((len(points), len(BONES)))
     np.put_along_axis(dense, space.bone_index.astype(np.int64), 0.0, axis=1)

@@ -13,6 +13,7 @@ import numpy as np
 from cabinpose._native import body as native
 from cabinpose.core import Floats, Floats32, Ints, Ints32
 from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.anatomy import CENTRE
 from cabinpose.scene.body.asymmetry import asymmetric
 from cabinpose.scene.body.measures import MeasuredRows, measure, measured_rows
 from cabinpose.scene.body.phenotype import Phenotype, usual_stature_m
@@ -61,7 +62,7 @@ _USUAL = {
     "head's breadth": 0.09,
 }
 # How much of a handle moves joints too, where not all of it does: the rest is flesh.
-_OF_BONE = {"deltoids": 0.0, "hips": 0.5, "buttocks": 0.0, "girth": 0.0}
+_OF_BONE = {"deltoids": 0.0, "hips": 0.2, "buttocks": 0.0, "girth": 0.0}
 # Whose change a helper's skin takes on, in equal shares; of the data's bone heads, whose bone they lie on.
 _HELPED = {
     "shoulder_half": ("clavicle", "upperarm"), "elbow_half": ("upperarm", "forearm"), "wrist_half": ("forearm", "hand"),
@@ -210,7 +211,7 @@ def _frame(names: tuple[str, ...]) -> _Frame:
         carriers.append((index(side, both[0]), index(side, both[-1])))
     heads = []
     for name in names:
-        side, stem = _parted(name)
+        side, stem = _parted(name.removesuffix(CENTRE))
         stem = "pelvis" if stem in ("root", "spine05") else stem if not side else stem.rstrip("_0123456789")
         heads.append(index(side, _CARRIER.get(stem, stem)))
     share = np.zeros((N_MAIN, 3, len(_HANDLES)))

