@@ -139,7 +139,7 @@ def main() -> None:
             ),
             ("without", timed(blank, chosen.without, "", place)),
         ):
-            print(f"{words}: {np.median(took):.1f} s a frame, {min(took):.1f} to {max(took):.1f}, {len(took)} frames")
+            print(f"{words}: {np.mean(took):.1f} s a frame, {min(took):.1f} to {max(took):.1f}, {len(took)} frames")
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ body { --ink: #111; --edge: #767676; } body.body--dark { --ink: #eee; --edge: #8
 @layer theme { .body--dark .bg-primary { background: #2f6f9f !important; } .q-chip__icon { opacity: 1 !important; } }
 .q-field--outlined .q-field__control:before { border-color: var(--edge) !important; }
 .q-slider__track { background: var(--edge) !important; } .q-checkbox__bg, .q-toggle__track { opacity: 1; }
-.q-field__label, .q-field__native::placeholder { color: var(--ink) !important; opacity: .75; }
+.q-field__label, .q-field--float .q-field__native::placeholder { color: var(--ink) !important; opacity: .75; }
 @layer theme {
   :focus-visible:not(input, textarea, .frame-canvas) { outline: 2px solid var(--q-primary) !important; outline-offset: 1px; }
   .q-header :focus-visible { outline-color: #fff !important; }
