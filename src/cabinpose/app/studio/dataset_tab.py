@@ -75,7 +75,7 @@ class DatasetTab:
         self._news.visible = False
         self._query = (
             ui.input("frames where", value=self._condition, placeholder='car == "suv" and people > 1', on_change=self._typed)
-            .props("dense outlined clearable")
+            .props("dense outlined clearable stack-label")
             .classes("w-full")
             .mark("where")
             .on("keydown.enter", self._ask)
