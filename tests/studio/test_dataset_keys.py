@@ -116,13 +116,16 @@ def test_query_grid_histogram_and_export_by_keys(page: Any, start: Callable[...,
     page.get_by_text("1 of 6 frames").wait_for()
     assert page.get_by_label("frames where").input_value() == "frame >= 2 and frame == 3"
     page.keyboard.press("e")
-    page.get_by_text("1 frames are chosen").wait_for()
+    page.get_by_text("Chosen frames: 1").wait_for()
     page.wait_for_function("document.activeElement.value === 'dataset-chosen'")
     page.keyboard.press("Enter")
     page.get_by_text("cabinpose studio dataset-chosen opens it").wait_for()
     made, whole = open_dataset(dataset_folder.with_name("dataset-chosen")), open_dataset(dataset_folder)
     np.testing.assert_array_equal(made["depth"].values, whole["depth"].values[3:4])
+    page.get_by_text("Chosen frames: 1").wait_for(state="hidden")
     page.keyboard.press("e")
+    page.get_by_text("Chosen frames: 1").wait_for()
+    page.wait_for_function("document.activeElement.value === 'dataset-chosen'")
     page.keyboard.press("Enter")
     page.get_by_text("dataset-chosen is there already").wait_for()
     assert errors == []

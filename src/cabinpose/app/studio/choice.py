@@ -54,7 +54,7 @@ class ChoiceDialog:
     def open(self) -> None:
         """Say what is chosen, and ask for a name."""
         choice = self._choice()
-        self._told.text = f"{len(choice.numbers)} frames are chosen"
+        self._told.text = f"Chosen frames: {len(choice.numbers)}"
         self._by.text = choice.words or "all of them"
         self._dialog.open()
 
