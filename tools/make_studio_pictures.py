@@ -24,8 +24,12 @@ def scene_picture(scene: Path, out: Path, size: str, scheme: Literal["light", "d
     width, height = map(int, size.split("x"))
     with studio(scene) as address, page_of(width, height, scheme) as page:
         page.goto(address)
+        page.get_by_text("holds: nothing collides").wait_for()
         page.wait_for_timeout(5000)
         page.get_by_role("button", name="Accept").click()
+        page.wait_for_timeout(2000)
+        if page.get_by_role("button", name="Accept it").is_visible():  # where something is let go
+            page.get_by_role("button", name="Accept it").click()
         page.get_by_role("tab", name="People").click()
         page.get_by_text("driver:").first.click()
         page.wait_for_timeout(5000)

@@ -60,7 +60,7 @@ body { --ink: #111; --edge: #767676; } body.body--dark { --ink: #eee; --edge: #8
 .studio-frames .q-btn__content { text-align: left; }
 .studio-news { gap: 4px; padding: 6px 8px; border-radius: 4px; background: #c9820033; }
 .q-tab-panel { padding: 0; overflow: hidden; }
-.body--dark .text-primary { --q-primary: #7fbcea; } .body--dark .text-negative { --q-negative: #ff8a80; }
+.body--dark .text-negative, .body--dark .q-field--error { --q-negative: #ff8a80; }
 """
 
 # No more than ten times a second: browsers ignore pages that change their address faster for long.

@@ -167,7 +167,7 @@ class ScenePeople:
             if not self._quiet and None not in values:
                 await self._do(lambda: self.move_hand(slot, side, [float(value) for value in values]))
 
-        with ui.row().classes("no-wrap items-center w-full").style("gap: 4px; font-size: 12px"):
+        with ui.row().classes("no-wrap items-center w-full studio-hand").style("gap: 4px; font-size: 12px"):
             ui.label(words).style("width: 64px").tooltip("the palm in the vehicle's frame: x forward, y left, z up")
             for axis in "xyz":
                 number = ui.number(

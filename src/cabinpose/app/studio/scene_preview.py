@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from cabinpose.core import CabinposeError, SceneError
 from cabinpose.synth import (
@@ -64,11 +66,12 @@ class Preview:
         self._written: dict[Path, int] = {}
         self.shown: Shown | None = None
         self._number, self._noise = 0, (0, 0)
+        self._pools, self._loaded = ThreadpoolController(), len(sys.modules)
 
     def pose(self, config: SynthConfig, seed: int, index: int) -> Posed:
         """Where everything is in a scene, before its camera looks at it. Raises CabinposeError where there is nothing to show."""
         started = time.perf_counter()
-        with threadpool_limits(1):  # as in `synth`: the bytes may depend on the libraries' number of threads
+        with self._one_thread():
             written = {car: car.stat().st_mtime_ns for car in own_cars(config) if car.exists()}  # one that changed is loaded anew
             sampler = SceneSampler(config, seed, like=self._sampler if self._written == written else None)
             self._written = written
@@ -84,7 +87,7 @@ class Preview:
         """The scene that was posed last, with what its camera delivers."""
         started = time.perf_counter()
         assert self._sampler is not None
-        with threadpool_limits(1):
+        with self._one_thread():
             maker = FrameMaker(posed.config, self._noise[0], self._sampler, pictures=False)
             frame = maker.see(posed.scene, rng=noise_rng(*self._noise))
             doubts = _place_doubts(posed.config, posed.scene)
@@ -99,6 +102,13 @@ class Preview:
     def draw(self, config: SynthConfig, seed: int, index: int) -> Shown:
         """What a configuration looks like, at once. Raises CabinposeError where there is nothing to show."""
         return self.see(self.pose(config, seed, index))
+
+    def _one_thread(self) -> AbstractContextManager[object]:
+        """As in `synth`: the bytes may depend on the libraries' number of threads. They are sought (5 ms) after imports."""
+        if self._loaded != len(sys.modules):
+            self._pools, self._loaded = ThreadpoolController(), len(sys.modules)
+        limited: AbstractContextManager[object] = self._pools.limit(limits=1)
+        return limited
 
     def _scene(self, sampler: SceneSampler, config: SynthConfig, seed: int, index: int) -> tuple[Scene, tuple[Verdict, ...], str]:
         scene = config.scene

@@ -160,7 +160,7 @@ class SceneRoom:
         return self._bodies
 
     def _kept(self, of: bytes, make: Callable[[], bytes]) -> str:
-        name = hashlib.blake2b(of, digest_size=12).hexdigest()
+        name = hashlib.sha256(of).hexdigest()[:24]
         self._made[name] = make
         self._made.move_to_end(name)
         while len(self._made) > _KEPT:

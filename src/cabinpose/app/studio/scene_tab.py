@@ -26,13 +26,15 @@ _LABELS = [[RGB.get(i, 0) >> 16 & 255, RGB.get(i, 0) >> 8 & 255, RGB.get(i, 0) &
 _FADE_S = 0.5  # that an old shape stays until the browser has the new one
 _LOOK_S = 0.4
 _STYLE = """
-.studio-images { transition: opacity .1s; } .studio-images.studio-stale { opacity: .35; transition: opacity .15s .2s; }
+.studio-images canvas { transition: opacity .1s; } .studio-stale canvas { opacity: .35; transition: opacity .15s .2s; }
 :root { --studio-wrong: #b3261e; --studio-doubt: #8a5200; --studio-right: #1b6e45; }
 .body--dark { --studio-wrong: #ff8a80; --studio-doubt: #ffb74d; --studio-right: #6fd39e; }
 .studio-conflicts { gap: 0; max-height: 22vh; overflow-y: auto; flex-wrap: nowrap; } .studio-conflicts:empty { display: none; }
 .studio-conflicts .q-btn { width: 100%; color: var(--studio-wrong) !important; }
 .studio-conflicts .q-btn__content { flex-wrap: nowrap; text-align: left; }
 .studio-view:focus-visible { outline: 2px solid #4f9fd8; outline-offset: -2px; }
+.studio-hand .q-field__control { padding: 0 6px; } .studio-hand input { appearance: textfield; -moz-appearance: textfield; }
+.studio-hand input::-webkit-inner-spin-button { display: none; }
 .studio-dimension { color: #fff; background: #000b; padding: 1px 6px; border-radius: 4px; font: 13px system-ui, sans-serif; }
 """
 KEYS = (
@@ -54,8 +56,11 @@ _KEYS = """(() => {
     if (!key) return;
     event.preventDefault();
     if (key === "/") { // at once: what is typed next is for it
+      const seen = (element) => element.matches("input") && element.offsetParent;
+      const find = () => [...tab.querySelectorAll(".studio-find, .studio-find input")].find(seen);
+      if (find()) { find().focus(); return; }
       tab.querySelector(".studio-side [role=tab]").click();
-      setTimeout(() => tab.querySelector(".studio-find input, input.studio-find").focus());
+      setTimeout(() => find()?.focus(), 400); // once the panel has slid in
       return;
     }
     tab.dispatchEvent(new CustomEvent("scene-key", { detail: key }));
@@ -158,7 +163,8 @@ class SceneTab:
                 self._canvases = {}
                 for name in ("depth", "amplitude", "labels"):
                     with ui.element("div").classes("studio-pane w-full").style("position: relative"):
-                        self._canvases[name] = FrameCanvas(on_loaded=partial(self._image_is_there, name))
+                        canvas = self._canvases[name] = FrameCanvas(on_loaded=partial(self._image_is_there, name))
+                        canvas.props(f"role=img aria-label='{name}, as the camera delivers it'")
                         ui.label(name).style(
                             "position: absolute; top: 4px; left: 8px; font-size: 12px; color: #eee; text-shadow: 0 0 3px #000"
                         )
