@@ -11,6 +11,10 @@ import pytest
 TABS = ("Scene", "Dataset", "Label", "Compare", "Live")
 
 _CONTRAST = Path(__file__).with_name("contrast.js").read_text()  # how many were looked at, and those that are too faint
+_UNDIMMED = """() => [...document.querySelectorAll(".frame-canvas")].every((e) => {
+  for (; e; e = e.parentElement) if (+getComputedStyle(e).opacity < 1) return false;
+  return true;
+})"""  # pictures of Scene are dimmed while they are not yet those of the scene
 _FOCUS = """() => {
   const e = document.activeElement;
   if (!e || e === document.body) return null;
@@ -72,6 +76,7 @@ def test_all_words_and_controls_have_the_contrast_of_wcag_aa(
     for name in ("Keys", "People"):
         page.get_by_role("tab", name=name).click()
         page.wait_for_timeout(1000)
+        page.wait_for_function(_UNDIMMED)
         count, wrong[name] = page.evaluate(_CONTRAST)
         assert count > 30, name
     context.close()
