@@ -259,9 +259,9 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         (("export", "coco", "take.mcap", "--out", "x"), "recordings go to c3d, bvh, trc, sto, csv"),
         (("export", "fbx", "take.mcap", "--out", "x"), "known: bvh"),
-        (("export", "c3d", "folder", "--out", "x"), "datasets go to png-json"),
+        (("export", "c3d", "folder", "--out", "x"), "datasets go to dataset, png-json"),
         (("export", "coco", "folder", "--out", "x", "--source", "suit"), "hint: --source is of c3d, bvh, trc, sto, csv"),
-        (("export", "c3d", "take.mcap", "--out", "x", "--split", "a"), "hint: --split is of png-json"),
+        (("export", "c3d", "take.mcap", "--out", "x", "--split", "a"), "hint: --split is of dataset, png-json"),
         (("export", "csv", "take.mcap", "--out", "x", "--subject", "S07"), "hint: --subject is of c3d, bvh, trc, sto"),
         (("export", "bvh", "take.mcap", "--out", "x", "--rate-hz", "60"), "hint: --rate-hz is of c3d, trc, sto"),
         (("export", "trc", "take.mcap", "--out", "x", "--rate-hz", "-1"), "more than 0"),

@@ -169,7 +169,7 @@ def here(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (
             "export nope d --out z",
             "unknown format 'nope'",
-            "known: bvh, c3d, coco, csv, itop, ntu, onnx, ply, png-json, sto, trc, yolo",
+            "known: bvh, c3d, coco, csv, dataset, itop, ntu, onnx, ply, png-json, sto, trc, yolo",
         ),
         (
             "export yolo d --splits splits.yaml --split test --out z",

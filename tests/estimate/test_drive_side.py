@@ -14,7 +14,7 @@ import sphere_people
 from test_paf import CONFIG, J, drawn, person
 
 from cabinpose.app.cli import main
-from cabinpose.core import FrameBatch
+from cabinpose.core import CABINPOSE, FrameBatch
 from cabinpose.estimate.found import Found, mirrored
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.paf.decode import decode
@@ -31,7 +31,7 @@ class Drawing:
     """A trained paf whose network draws its maps about two surfaces that it sees, the nearest at the left and the right half."""
 
     name, config, drive_side, expected_error = "drawing", CONFIG, "", {}
-    persons, joints, skeleton = CONFIG.slots, CONFIG.joints, "cabinpose"
+    persons, joints, skeleton, learnt = CONFIG.slots, CONFIG.joints, "cabinpose", CABINPOSE
     trained_on: ClassVar[dict[str, str]] = {}
 
     def run(self, seen: dict[str, np.ndarray]) -> Found:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from cabinpose.core import told_as
 from cabinpose.core.errors import ConfigError, DatasetError, PredictionsError
 from cabinpose.core.ports import IMAGES, FrameBatch, PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import CABINPOSE, ITOP
+from cabinpose.core.skeleton import ANATOMY, CABINPOSE, ITOP, JOINTS, RIG
 from cabinpose.evaluate import offline
 from cabinpose.evaluate.offline import (
     check_predictions,
@@ -175,13 +176,30 @@ def test_sets_of_joints_are_not_mixed(dataset: xr.Dataset, predictions: Predicti
 
 
 def test_whose_joints_they_are_is_noted(dataset: xr.Dataset, predictions: Predictions) -> None:
-    ours, theirs = dataset.assign_attrs(generator="cabinpose.synth"), dataset.assign_attrs(generator="import ntu")
+    ours = dataset.assign_attrs(generator="cabinpose.synth", joint_definition=ANATOMY)
+    theirs = dataset.assign_attrs(generator="import ntu")
     assert common_skeleton(ours, [predictions]) == CABINPOSE.subset(common_joints(ours, [predictions]))
     assert common_skeleton(theirs, [predictions]) != common_skeleton(ours, [predictions])
     assert evaluate(ours, predictions, OPTIONS).notes == ()
     report = evaluate(theirs, predictions, OPTIONS)
     assert report.notes[0].startswith("the dataset's joints are those of Kinect's body tracking; the set cabinpose is ")
     assert repr(report.values) == repr(evaluate(ours, predictions, OPTIONS).values)
+
+
+def test_joints_of_versions_before_are_told_as_the_models(dataset: xr.Dataset, predictions: Predictions) -> None:
+    """A model whose joints lie as anatomy has them is held against an older dataset's truth told so, and the report says it."""
+    before = dataset.assign_attrs(generator="cabinpose.synth")
+    told = told_as(dataset["joints_3d"].values, JOINTS, RIG, CABINPOSE)
+    answers = {name: getattr(predictions, name) for name in ("joints_2d", "score", "presence", "frame")}
+    exact = Predictions(
+        joints_3d=told[:, :, CABINPOSE.indices(predictions.joints)].astype(np.float32), persons=predictions.persons,
+        joints=predictions.joints, model="exact", joint_definition=ANATOMY, **answers,
+    )  # fmt: skip
+    report = evaluate(before, exact, OPTIONS)
+    assert any("they were told as those of the set cabinpose" in note for note in report.notes)
+    assert report.value("median error", "3d").value == pytest.approx(0.0, abs=1e-4)
+    silent = evaluate(before, replace(exact, joint_definition=""), OPTIONS)
+    assert silent.value("median error", "3d").value > 0.001
 
 
 def test_frames_left_out_count_as_missed(dataset: xr.Dataset, predictions: Predictions) -> None:

@@ -29,7 +29,7 @@ def made(*changes: str, frames: int) -> FrameBatch:
 @pytest.fixture(scope="module")
 def people() -> dict[str, FrameBatch]:
     """By model frames that it knows; read only."""
-    return {"room": made(*IN_ROOM, frames=10), "in_car": made(*IN_CAR, frames=7)}
+    return {"room": made(*IN_ROOM, frames=10), "in_car": made(*IN_CAR, frames=10)}
 
 
 def turned(quarters: int) -> Change:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.exchange import zipped
@@ -82,7 +83,9 @@ def test_recording_goes_to_cvat_and_back(recorded: Path, run: Callable[..., Any]
         np.testing.assert_allclose([left, top, left + width, top + height], [*low, *high], atol=0.002)
     (driver,) = (a for a in coco["annotations"] if (a["image_id"], a["slot"]) == (3, "driver"))
     wrist = coco["categories"][0]["keypoints"].index("lwrist")
-    driver["keypoints"][3 * wrist : 3 * wrist + 3] = [70.0, 80.0, 2]
+    measured = ndimage.minimum_filter(np.isfinite(dataset["depth"].values[3]), 7, mode="constant")
+    v, u = np.argwhere(measured)[0]
+    driver["keypoints"][3 * wrist : 3 * wrist + 3] = [float(u), float(v), 2]
     for person in coco["annotations"]:
         del person["slot"]
     path.write_text(json.dumps(coco))
@@ -90,8 +93,9 @@ def test_recording_goes_to_cvat_and_back(recorded: Path, run: Callable[..., Any]
     assert run("import", "coco-labels", path, "--corrects", recorded, "--out", journal).code == 0
     ((key, label),) = read_labels(journal)[1].items()
     assert key == (3, "driver", "lwrist")
-    assert (label.uv, label.visibility) == ((70.0, 80.0), Visibility.VISIBLE)
-    assert label.xyz[2] == pytest.approx(dataset["depth"].values[3, 78:83, 68:73].mean(), abs=0.15)  # near the surface there
+    assert (label.uv, label.visibility) == ((u, v), Visibility.VISIBLE)
+    surface = dataset["depth"].values[3, v - 2 : v + 3, u - 2 : u + 3].mean()
+    assert label.xyz[2] == pytest.approx(surface, abs=0.15)  # near the surface there
 
 
 def test_studio_gives_everybody_of_a_recording(recorded: Path, tmp_path: Path) -> None:

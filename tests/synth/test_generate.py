@@ -229,14 +229,14 @@ def test_a_room_with_somebody_in_it(tmp_path: Path) -> None:
 
 
 def test_other_sets_of_joints_are_written_where_they_are_asked_for(tmp_path: Path) -> None:
-    for name, output, expected in (("none", [], []), ("itop", ["itop", "itop"], ["itop_joints_3d"])):
+    for name, output, expected in (("none", [], []), ("itop", ["itop", "rig", "itop"], ["itop_joints_3d", "rig_joints_3d"])):
         config = small_config()
         config = config.model_copy(update={"output": config.output.model_copy(update={"skeletons": tuple(output)})})
         generate(config, 1, tmp_path / name, workers=1)
         dataset = open_dataset(tmp_path / name)
         assert [v for v in dataset.data_vars if str(v).endswith("_joints_3d")] == expected
     there = dataset["subject"].values != ""
-    shoulders = dataset["joints_3d"].sel(joint=["lshoulder", "rshoulder"]).values[there]
+    shoulders = dataset["rig_joints_3d"].sel(rig_joint=["lshoulder", "rshoulder"]).values[there]
     assert np.array_equal(dataset["itop_joints_3d"].sel(itop_joint=["lshoulder", "rshoulder"]).values[there], shoulders)
     with pytest.raises(ConfigError, match=r"output\.skeletons\[0\]: must be one of itop"):
         SynthConfig.parse({"output": {"skeletons": ["cabinpose"]}})
