@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import operator
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -246,7 +247,8 @@ class Manifest(BaseModel):
     height: Annotated[int, Field(ge=1)]
     persons: Annotated[tuple[str, ...], Field(min_length=1, max_length=_MOST_NAMES)] = OCCUPANT_SLOTS
     joints: Annotated[tuple[str, ...], Field(min_length=1, max_length=_MOST_NAMES)] = JOINTS
-    joint_definition: Annotated[str, Field(max_length=_MOST_NAMES)] = ""  # `ANATOMY`; "" = as what made it placed them then
+    # `ANATOMY`; "" = as what made it placed them then, which older datasets do not say.
+    joint_definition: Annotated[str, Field(max_length=_MOST_NAMES, exclude_if=operator.not_)] = ""
     variables: tuple[str, ...] = DEFAULT_VARIABLES
     labels: tuple[LabelRow, ...] = ()
     materials: tuple[dict[str, Any], ...] = ()
@@ -296,7 +298,7 @@ class Manifest(BaseModel):
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain data in the order of the file, the derived list of parts at its end, or of very many their number."""
-        data = self._plain()
+        data = self.model_dump(mode="json", by_alias=True)
         data["parts"] = self.listed_parts() if self.part_count <= MOST_LISTED_PARTS else self.part_count
         return data
 
@@ -312,13 +314,8 @@ class Manifest(BaseModel):
         parts are written. A field that is added to the manifest has to be left out where it has its default, or the parts of
         older datasets are taken for another dataset's.
         """
-        data = self._plain(exclude={"frames": True, "licence": True, "config": {_CONTENT}})
+        data = self.model_dump(mode="json", by_alias=True, exclude={"frames": True, "licence": True, "config": {_CONTENT}})
         return checksum(json.dumps(data, sort_keys=True))
-
-    def _plain(self, **leave: Any) -> dict[str, Any]:
-        """Plain data without what datasets did not say at first, where it is not said."""
-        data = self.model_dump(mode="json", by_alias=True, **leave)
-        return {key: value for key, value in data.items() if key != "joint_definition" or value}
 
     @property
     def content(self) -> str | None:

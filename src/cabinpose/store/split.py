@@ -294,19 +294,24 @@ def merged_ranges(*by_dataset: Mapping[str, str]) -> dict[str, str]:
 def number_at_first(selection: Mapping[str, Any], number: int) -> int:
     """The number that a frame had in the first dataset that it was chosen of; selection: `Manifest.selection` of the last."""
     while selection:
-        ends = (run.partition("-")[::2] for run in selection["frames"].split())
-        number = int(np.concatenate([np.arange(int(first), int(last or first) + 1) for first, last in ends])[number])
+        runs = _runs(selection["frames"]).tolist()
+        number = int(np.concatenate([np.arange(first, last + 1) for first, last in runs])[number])
         selection = selection.get("before", {})
     return number
 
 
-def in_ranges(ranges: str, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """(n,) whether frames, by their numbers, are in ranges as `frame_ranges` writes them. Raises ValueError for other text."""
+def _runs(ranges: str) -> NDArray[np.int64]:
+    """First and last number (n, 2) of each run that `frame_ranges` wrote. Raises ValueError for other text."""
     pairs = [(first, last if dash else first) for first, dash, last in (each.partition("-") for each in ranges.split())]
     try:
-        first, last = np.array(pairs, dtype=object).reshape(-1, 2).astype(np.int64).T
+        return np.array(pairs, dtype=object).reshape(-1, 2).astype(np.int64)
     except (ValueError, OverflowError) as error:
         raise ValueError(f"no ranges of frames such as '0-84 90': {ranges[:40]!r}") from error
+
+
+def in_ranges(ranges: str, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """(n,) whether frames, by their numbers, are in ranges as `frame_ranges` writes them. Raises ValueError for other text."""
+    first, last = _runs(ranges).T
     order = np.argsort(first, kind="stable")
     reach = np.concatenate(([-1], np.maximum.accumulate(last[order])))
     return np.asarray(numbers <= reach[np.searchsorted(first[order], numbers, "right")])

@@ -4,13 +4,14 @@ Shares of the stature, forward, outward and up, of four bodies: a man, a woman, 
 them have shares between theirs. They were worked out on the mean body of each from published values, and are held against others
 in `tests/body/test_anatomy.py`; `docs/joints.md` has both, joint by joint.
 
-hip: height of the trochanterion (ANSUR II, Snyder 1977) and 3.2 mm above it (de Leva 1996); behind the skin over the ASIS by
-Harrington 2007 with 9.7 mm of skin (Mantovani 2016) and a pelvis tilted by 10 deg (assumed), which buttock-knee length confirms;
-apart as femur heads are in CT (160 mm, Skeletal Radiology 2010), in children as in Hara 2016. knee: between the height of the
-lateral epicondyle and 34 mm above the tibiale (ANSUR II, Snyder; de Leva). ankle: height of the malleoli (ANSUR II). shoulder:
-0.88 of the biacromial breadth apart, midway between what is published. spine: C7/T1 and T12/L1 by Reed 1999 off the skin over
-C7 and T12, levels between them in proportion of the column's parts; L5/S1 by Dumas 2007 off the hips. head: the occipital
-condyles, behind and below the tragion (Reed 1999; assumed).
+hip: between 3.2 mm above the trochanterion (ANSUR II, Snyder 1977; de Leva 1996) and 0.530 of the stature (Drillis and Contini);
+forward between the data's and Harrington 2007 behind the skin over the ASIS, with 9.7 mm of skin (Mantovani 2016) and a pelvis
+tilted by 10 deg (assumed), held against buttock-knee length; apart as femur heads are in CT (160 mm, Skeletal Radiology 2010), of
+children a tenth of the stature (Hara 2016). knee: so that knee height and buttock-knee length, sitting, split into thigh and
+shank as published. ankle: height of the lateral malleolus (ANSUR II) and 4 mm. shoulder: 0.88 of the biacromial breadth apart,
+midway between what is published. spine: C7/T1 and T12/L1 by Reed 1999 off the skin over C7 and T12, levels between them in
+proportion of the column's parts; L5/S1 by Dumas 2007 off the hips. head: the occipital condyles, behind and below the tragion
+(Reed 1999; assumed).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 from cabinpose.core import Floats
 
 _Share: TypeAlias = tuple[float, float, float]
-# By bone head of the data: man, woman, ten, three. `pelvis.L5S1` and what follows are points of ours, off another bone head.
+# By bone head of the data: man, woman, ten, three. `root` is our hip, L5/S1.
 _SHARES: Mapping[str, tuple[_Share, _Share, _Share, _Share]] = MappingProxyType(
     {
         "upperleg01": ((0.0200, 0.0, -0.0105), (0.0125, 0.0, -0.0010), (0.0, 0.0, -0.0015), (0.0, 0.0, -0.0396)),

@@ -25,7 +25,7 @@ from cabinpose.scene.body.shape import load_shape_space
 _ACROMION, _RADIALE = (0.025 / 1.75, 0.0345 / 1.75), 0.0155 / 1.75
 # Who sits erect has 15 deg less of lumbar lordosis than who stands (Lord 1997): the pelvis leans back by as much. A seat presses
 # flat what is below the seat bones; here nothing does, by so much (share of stature, assumed: it is what is left over dummies').
-LEANS_RAD, NOT_PRESSED = np.radians(15.0), 0.02
+_LEANS_RAD, _NOT_PRESSED = np.radians(15.0), 0.02
 _ABOVE_BROWS_M, _ABOVE_EARS_M = (0.025, 0.075), 0.037  # above the eyes of the average adult
 # How far the upper arms are from the trunk (assumed): at half their length, of this radius, flesh yields by so much; at 1.75 m.
 _BELOW_SHOULDER_M, _ARM_RADIUS_M, _FLESH_YIELDS_M, _FARTHEST_APART = 0.15, 0.049, 0.025, 0.4
@@ -79,9 +79,9 @@ def sitting_posture(skin: Floats32, rest: RestArrays, stature_m: float) -> Float
     for side in "lr":
         for axis in ("hip.flexion", "knee.flexion", "elbow.flexion"):
             q[DOF_INDEX[f"{side}{axis}"]] = np.pi / 2
-        q[DOF_INDEX[f"{side}hip.flexion"]] -= LEANS_RAD
+        q[DOF_INDEX[f"{side}hip.flexion"]] -= _LEANS_RAD
         q[DOF_INDEX[f"{side}shoulder.abduction"]] = rp.arcsin(min(max(apart, 0.0), _FARTHEST_APART))
-    q[DOF_INDEX["lumbar.flexion"]] = LEANS_RAD
+    q[DOF_INDEX["lumbar.flexion"]] = _LEANS_RAD
     return q
 
 
@@ -103,7 +103,7 @@ def measure(skin: Floats32, rest: RestArrays) -> Floats:
     stand, bones = posed(np.zeros(len(DOFS)), np.eye(4))
     stature = float(stand[region["top"], 2].max() - stand[region["soles"], 2].min())
     leaning = np.eye(4)
-    leaning[:3, :3] = axis_rotation("y", -LEANS_RAD)
+    leaning[:3, :3] = axis_rotation("y", -_LEANS_RAD)
     sit, _ = posed(sitting_posture(skin, rest, stature), leaning)
     outwards, up = (share * stature for share in _ACROMION)
     shoulder, elbow, wrist = (bones[BONE_INDEX[name]] for name in ("lupperarm", "lforearm", "lhand"))
@@ -114,7 +114,7 @@ def measure(skin: Floats32, rest: RestArrays) -> Floats:
     return np.array(
         [
             stature,
-            sit[region["top"], 2].max() - seat[:, 2].min() - NOT_PRESSED * stature,
+            sit[region["top"], 2].max() - seat[:, 2].min() - _NOT_PRESSED * stature,
             knee[:, 0].max() - seat[:, 0].min(),
             knee[:, 2].max() - sit[region["foot"], 2].min(),
             2.0 * (shoulder[1] + outwards),

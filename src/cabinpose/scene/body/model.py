@@ -25,7 +25,7 @@ from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.populations import DIMENSIONS
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
-from cabinpose.scene.body.skeleton import CLOSING, rest_arrays, rig_joints
+from cabinpose.scene.body.skeleton import CLOSING, rest_arrays, rig_points
 from cabinpose.scene.surface import Surface
 
 
@@ -40,7 +40,7 @@ class Person:
         self.rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
         self.rest.soles[:, :3, 3] -= (HEEL_BACK_M, 0.0, SOLE_M[outfit.shoes]) if outfit.shoes != "none" else (0.0, 0.0, 0.0)
         self.rest_skin: Floats32 = (skin - origin).astype(np.float32)
-        self.rig_joints = rig_joints(heads - origin, space.heads, self.rest)
+        self._rig_points = rig_points(heads - origin, space.heads, self.rest)
         self.eyes_rest: Floats = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
         self.stature_m = phenotype.size.stature_m if phenotype.size else float(np.ptp(skin[:, 2]))
 
@@ -185,10 +185,10 @@ class PosedBody:
         result[:, :3, 3] += self._vehicle_from_mesh[:, :, 3]
         return result
 
-    @property
+    @cached_property
     def rig_joints(self) -> Floats:
         """(20, 3) joints of `core.RIG`: where versions up to 0.2 had them, carried by today's bones."""
-        bones = zip(*self.person.rig_joints, strict=True)
+        bones = zip(*self.person._rig_points, strict=True)
         return np.stack([self._position[b] + rp.matmul(self._rotation[b], offset) for b, offset in bones])
 
     @property

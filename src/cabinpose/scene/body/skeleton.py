@@ -126,7 +126,7 @@ def _points(table: Mapping[str, tuple[str, str]]) -> list[tuple[str, str, str]]:
     return [(side, *table[joint[len(side) :]]) for side, joint in zip(sides, JOINTS, strict=True)]
 
 
-def rig_joints(heads: Floats, named: Mapping[str, int], rest: RestArrays) -> tuple[Ints, Floats]:
+def rig_points(heads: Floats, named: Mapping[str, int], rest: RestArrays) -> tuple[Ints, Floats]:
     """The joints of `core.RIG`: bones that carry them (20,), and where in the bones' frames (20, 3), m.
 
     heads: (H, 3) m, root axes.
