@@ -89,6 +89,7 @@ def test_query_grid_histogram_and_export_by_keys(page: Any, start: Callable[...,
     page.keyboard.press("Escape")
     page.keyboard.press("g")
     page.wait_for_function("document.activeElement.className.includes('frame-grid')")
+    page.locator(".frame-thumb").nth(3).wait_for()  # the grid has the keyboard before it has all its frames
     assert page.locator(".frame-thumb").count() == 4
     page.wait_for_function("[...document.querySelectorAll('.frame-thumb img')].every((image) => image.naturalWidth > 0)")
     page.keyboard.press("ArrowRight")
