@@ -201,9 +201,9 @@ def test_copy_takes_the_last_labelled_frame(labelling: Labelling) -> None:
 
 
 def test_interpolation_is_straight_in_space(workspace: Workspace, labelling: Labelling) -> None:
+    labelling.dataset = labelling.dataset.assign_coords(sequence=("frame", np.zeros(6, int)))  # of a recording: one sequence
     labelling.accept(0, DRIVER)
     labelling.accept(4, DRIVER)
-    labelling._sequence[:] = 0  # of a recording: one sequence
     assert labelling.interpolate(2, DRIVER) == 3
     first, middle, last = (labelling.labels.get(int(labelling.numbers[row]), DRIVER, "neck") for row in (0, 2, 4))
     assert first is not None
@@ -214,7 +214,8 @@ def test_interpolation_is_straight_in_space(workspace: Workspace, labelling: Lab
     frame = workspace.dataset.isel(frame=2).load()
     height, width = frame["depth"].shape
     np.testing.assert_allclose(middle.uv, camera_of(frame, width, height).project(np.array(middle.xyz)), atol=1e-6)
-    labelling._sequence[4] = 1
+    labelling.dataset = labelling.dataset.assign_coords(sequence=("frame", np.array([0, 0, 0, 0, 1, 1])))
+    labelling._truth.cache_clear()
     labelling.undo()
     assert labelling.interpolate(2, DRIVER) == 0  # never from one sequence into another
 

@@ -170,10 +170,10 @@ def _correct(command: ImportLabels) -> None:
     from cabinpose.app.view.draw import completed
     from cabinpose.store import open_dataset, read_manifest
 
-    manifest = read_manifest(command.corrects)  # of a recording or a scene there are no labels
+    read_manifest(command.corrects)  # of a recording or a scene there are no labels
     new = not command.out.exists()
     dataset = completed(open_dataset(command.corrects))
-    labels = open_labels(command.out, dataset, manifest)
+    labels = open_labels(command.out, dataset)
     try:
         labelling = Labelling(dataset, labels, command.role)
         found = corrections(labelling, command.source, command.form.read(command.source, command.settings))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,7 @@ def run(command: Studio) -> None:
     from cabinpose.app.extras import require
 
     require("studio", "record")
+    gc.disable()  # imports and datasets stay: searching them for garbage is a fifth of the time until a page can be opened
     from cabinpose.app.studio.serve import serve
     from cabinpose.app.studio.workspace import open_workspace
 
@@ -53,6 +55,8 @@ def run(command: Studio) -> None:
     workspace = open_workspace(command.thing, labels=labels, role=command.role)
     for path in command.predictions:
         workspace.add_predictions(path)
+    gc.freeze()
+    gc.enable()
     serve(workspace, host=command.host, port=command.port, token=command.token, ready=_ready)
 
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from cabinpose.app.label.labelling import Labelling, nowhere
 from cabinpose.core import DatasetError, Visibility
@@ -108,6 +107,8 @@ def _persons(labelling: Labelling, row: int, people: Sequence[Keypoints]) -> lis
     there = [person for person, places in known.items() if places]
     asked = [i for i, person in enumerate(found) if person is None]
     if asked and there:
+        from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - half a second, which a studio begins without
+
         apart = np.array([[_apart(people[i], known[person]) for person in there] for i in asked])
         for i, person in zip(*linear_sum_assignment(apart), strict=True):
             if apart[i, person] < _FAR_PX:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cabinpose.align import visibility
 from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility, images_of, surface_depth
 from cabinpose.evaluate import frame_batch
-from cabinpose.store import Change, JointLabel, Key, Labels, Manifest, Predictions, camera_of, dataset_id
+from cabinpose.store import Change, JointLabel, Key, Labels, Predictions, camera_of
 
 Origin = Literal["label", "dataset", "proposal", "none"]
 PRESENT = 0.5  # a joint that a model finds less probable is not proposed
@@ -48,10 +48,10 @@ def _joint_sets(known: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return {name: joints for name, joints in sets.items() if joints}
 
 
-def open_labels(path: Path, dataset: xr.Dataset, manifest: Manifest) -> Labels:
+def open_labels(path: Path, dataset: xr.Dataset) -> Labels:
     """The journal of a dataset's labels; DatasetError where another process has it, or it is of another dataset."""
     persons, joints = ([str(n) for n in dataset[name].values] for name in ("person", "joint"))
-    return Labels(path, dataset_id(manifest), persons, joints)
+    return Labels(path, str(dataset.attrs["dataset_id"]), persons, joints)
 
 
 class Undone(NamedTuple):
@@ -59,6 +59,15 @@ class Undone(NamedTuple):
 
     joints: int
     kept: int
+
+
+class _Truth(NamedTuple):
+    """What the dataset says of a frame: (P, J, 2) px, (P, J, 3) m, (P, J), ()."""
+
+    joints_2d: NDArray[np.float32]
+    joints_3d: NDArray[np.float32]
+    visibility: NDArray[np.uint8]
+    sequence: NDArray[np.integer]
 
 
 class _Step(NamedTuple):
@@ -93,9 +102,7 @@ class Labelling:
         self.persons = tuple(str(name) for name in self.dataset["person"].values)
         self.numbers: NDArray[np.int64] = self.dataset["frame"].values.astype(np.int64)
         self._rows = {number: row for row, number in enumerate(self.numbers.tolist())}
-        small = self.dataset[["joints_2d", "joints_3d", "visibility", "sequence"]].load()
-        self._uv, self._xyz, self._seen = (small[name].values for name in ("joints_2d", "joints_3d", "visibility"))
-        self._sequence = small["sequence"].values
+        self._truth = lru_cache(_REMEMBERED)(self._read_truth)  # of many frames all of it takes a second to read
         self._bones: defaultdict[tuple[str, str, str], dict[int, float]] = defaultdict(dict)  # see `_measured_bones`
         self._measured = 0  # changes of the journal that they hold
         self._kept: set[str] = set()  # times of changes all of whose joints somebody else has set since
@@ -121,12 +128,16 @@ class Labelling:
 
     def held(self, row: int, person: str, joint: str) -> JointLabel | None:
         """What the dataset says of a joint."""
-        at = row, self.persons.index(person), self.columns[joint]
-        state = Visibility(int(self._seen[at]))
-        if state == Visibility.ABSENT or not np.isfinite(self._uv[at]).all():
+        at = self.persons.index(person), self.columns[joint]
+        truth = self._truth(row)
+        state = Visibility(int(truth.visibility[at]))
+        if state == Visibility.ABSENT or not np.isfinite(truth.joints_2d[at]).all():
             return None
-        (u, v), (x, y, z) = self._uv[at].tolist(), self._xyz[at].tolist()
+        (u, v), (x, y, z) = truth.joints_2d[at].tolist(), truth.joints_3d[at].tolist()
         return JointLabel((u, v), (x, y, z), state)
+
+    def _read_truth(self, row: int) -> _Truth:
+        return _Truth(*(self.dataset[name][row].values for name in _Truth._fields))
 
     def has_frame(self, number: int) -> bool:
         """Whether the dataset has a frame of this number."""
@@ -139,7 +150,7 @@ class Labelling:
     def people(self, row: int) -> list[str]:
         """Who is in a frame, by the dataset or by a label."""
         number = int(self.numbers[row])
-        held = (self._seen[row] > Visibility.ABSENT).any(axis=1)
+        held = np.any(self._truth(row).visibility > Visibility.ABSENT, axis=1)
         labelled = {person for frame, person, _ in self.labels.now if frame == number}
         return [person for person, there in zip(self.persons, held, strict=True) if there or person in labelled]
 
@@ -206,7 +217,7 @@ class Labelling:
         """
         keys = self.key_frames(person)
         before, after = [k for k in keys if k <= row], [k for k in keys if k > row]
-        if not before or not after or self._sequence[before[-1]] != self._sequence[after[0]]:
+        if not before or not after or self._truth(before[-1]).sequence != self._truth(after[0]).sequence:
             return 0
         first, last = before[-1], after[0]
         changes: list[tuple[Key, JointLabel | None]] = []
@@ -312,7 +323,7 @@ class Labelling:
             if joints:
                 found[person] = joints
                 least = min(least, *(abs(p - PRESENT) for p in sure.values()))  # one that is surely not there is sure
-        somebody = (self._seen[row] > Visibility.OUTSIDE_IMAGE).any(axis=1)
+        somebody = np.any(self._truth(row).visibility > Visibility.OUTSIDE_IMAGE, axis=1)
         missed = any(there and person not in found for there, person in zip(somebody, self.persons, strict=True))
         return found, -1.0 if missed else least
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import trimesh
 import xarray as xr
 from fastapi import APIRouter, HTTPException, Response
 from numpy.typing import NDArray
@@ -25,6 +24,8 @@ MOST_LIVE = 12_000  # of a live cloud, which comes several times a second
 
 def cloud_glb(points: NDArray[np.floating], colours: NDArray[np.uint8]) -> bytes:
     """Points (n, 3) m with colours (n, 3) as binary glTF, at most `MOST_POINTS`, evenly taken."""
+    import trimesh  # noqa: PLC0415 - half a second, which a studio without 3D views of scenes does without
+
     step = max(-(-len(points) // MOST_POINTS), 1)
     cloud = trimesh.PointCloud(points[::step].astype(np.float32), colors=colours[::step])
     data: bytes = trimesh.Scene(cloud).export(file_type="glb")

@@ -42,7 +42,6 @@ class DatasetTab:
         assert workspace.dataset is not None
         self._page, self._workspace, self._dataset = page, workspace, workspace.dataset
         self._coordinates = {name: self._dataset[name].values for name in _FILTERS if name in self._dataset.coords}
-        self._visibility = self._dataset["visibility"].values
         self._joints = [str(name) for name in self._dataset["joint"].values]
         self._limbs = dataset_skeleton(self._dataset).limbs
         self._rows: NDArray[np.int64] = np.arange(self._dataset.sizes["frame"])
@@ -283,7 +282,7 @@ class DatasetTab:
                 chosen &= hit.any(axis=1) if hit.ndim == 2 else hit
         if self._state.value is not None:
             columns = slice(None) if self._joint.value is None else [self._joints.index(self._joint.value)]
-            chosen &= (self._visibility[:, :, columns] == self._state.value).any(axis=(1, 2))
+            chosen &= (self._dataset["visibility"].values[:, :, columns] == self._state.value).any(axis=(1, 2))
         self._rows = np.flatnonzero(chosen)
         if self._errors is not None:
             self._rows = self._errors.choose(self._rows, self._over.value, self._worst.value, by_error=self._sorted.value)

@@ -106,6 +106,7 @@ if (!window.studioCharts) {
 }
 """
 
+_BETWEEN_S = 0.3  # before each tab that is built unseen: the one in front is drawn, and keys are answered
 TABS = (scene_tab.TAB, dataset_tab.TAB, label_tab.TAB, compare_tab.TAB, live_tab.TAB)  # in the order of the bar
 
 
@@ -120,6 +121,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
     dark = ui.dark_mode(value={"light": False, "dark": True}.get(address.get("theme", "")))
     shown = workspace.key
     panels: dict[str, ui.tab_panel] = {}
+    due = {tab.name: tab for tab in TABS}  # those that are not built yet
     client = ui.context.client
     client.run_javascript(_REMEMBER)
     client.run_javascript(_CHARTS)
@@ -129,6 +131,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
 
     def fill(tab: Tab) -> None:
         """Build a tab, or tell why it cannot be."""
+        due.pop(tab.name, None)
         with panels[tab.name]:
             try:
                 tab.build(page)
@@ -136,6 +139,19 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
                 panels[tab.name].clear()
                 cause = workspace.trouble() or error
                 empty_state("What was opened cannot be read", str(cause), cause.hint or "")
+
+    def show(name: str) -> None:
+        """Bring a tab to the front; before the browser has asked for it, it is built."""
+        if name in due:
+            fill(due[name])
+        bar.value = name
+
+    def fill_next() -> None:
+        """Build a tab that nobody has looked at yet, once the one in front has been sent."""
+        if due:
+            fill(next(iter(due.values())))
+        if due:
+            ui.timer(_BETWEEN_S, fill_next, once=True)
 
     def renew(tab: str = "") -> None:
         """Build the tabs that show the dataset anew, where another one was opened; go to a tab."""
@@ -148,7 +164,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
                     panels[each.name].clear()
                     fill(each)
         if tab:
-            bar.value = tab
+            show(tab)
 
     async def other_theme() -> None:
         """From what is seen: at first the browser chooses."""
@@ -162,18 +178,21 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
     ui.colors(primary="#2f6f9f")
     with ui.header().classes("items-center no-wrap").style("padding: 0 14px; gap: 18px; height: 48px; background: #20262e"):
         ui.label("cabinpose studio").style("font-weight: 600; font-size: 16px; white-space: nowrap")
-        with ui.tabs(on_change=lambda e: remember({"tab": e.value})).props("dense align=left no-caps inline-label") as bar:
+        with ui.tabs().props("dense align=left no-caps inline-label") as bar:
             for tab in TABS:
                 ui.tab(tab.name)
         opened = ui.label(_opened(workspace)).classes("studio-opened")
         for icon, name, what in (("keyboard", "Keys: ?", list_keys), ("contrast", "Light or dark", other_theme)):
             ui.button(icon=icon, on_click=what).props(f"flat round dense color=white aria-label='{name}'").tooltip(name)
-    page = Page(workspace, shared, bar.set_value, renew, lambda: bar.value, address, window, remember)
+    page = Page(workspace, shared, show, renew, lambda: bar.value, address, window, remember)
     first = page.remembered("tab", [tab.name for tab in TABS]) or _first(workspace)
     with ui.tab_panels(bar, value=first, keep_alive=True, animated=False).classes("w-full"):
         for tab in TABS:
             panels[tab.name] = ui.tab_panel(tab.name)
-            fill(tab)
+        fill(due[first])
+        bar.on_value_change(lambda change: show(change.value))
+        bar.on_value_change(lambda change: remember({"tab": change.value}))
+        ui.timer(_BETWEEN_S, fill_next, once=True)
     ui.keyboard(on_key=lambda event: list_keys() if event.action.keydown and event.key == "?" else None)
     ui.timer(1.0, renew)  # another browser may have opened a dataset
 

@@ -55,11 +55,11 @@ class Workspace:
 
         Raises DatasetError or PredictionsError.
         """
-        parts = _parts(folder)  # before it is opened: one that comes meanwhile is offered
+        parts, seen = _parts(folder), _changed(folder)  # before it is opened: one that comes meanwhile is offered
         dataset, manifest = completed(open_dataset(folder)), read_manifest(folder)
         self.close()
         self.folder, self.dataset, self.manifest, self.labels_path = folder, dataset, manifest, None
-        self.key, self._parts, self._seen, self._grown = secrets.token_hex(4), parts, (0, 0), 0
+        self.key, self._parts, self._seen, self._grown = secrets.token_hex(4), parts, seen, 0
         self.predictions, self.proposals = {}, ""
         names = [self.add_predictions(path) for path in predictions]
         self.proposals = next(iter(names), "")
@@ -82,7 +82,7 @@ class Workspace:
         assert self.manifest is not None
         if self._labels is None:
             path = self.labels_path or self.folder.with_name(self.folder.name + ".labels.jsonl")
-            self._labels = open_labels(path, self.dataset, self.manifest)
+            self._labels = open_labels(path, self.dataset)
         return self._labels
 
     def new_frames(self) -> int:
@@ -93,7 +93,7 @@ class Workspace:
         assert self.folder is not None
         assert self.manifest is not None
         try:
-            seen = (self.folder / MANIFEST_NAME).stat().st_mtime_ns, self.folder.stat().st_mtime_ns
+            seen = _changed(self.folder)
         except OSError as error:
             raise DatasetError(f"{self.folder} has vanished", hint=_VANISHED) from error
         if seen != self._seen:
@@ -120,7 +120,7 @@ class Workspace:
         """Open the dataset again, with the frames that have come; tabs that hold it go on with what they have."""
         fresh = open_workspace(self.folder)
         self.dataset, self.manifest = fresh.dataset, fresh.manifest
-        self._parts, self._seen = fresh._parts, fresh._seen
+        self._parts, self._seen, self._grown = fresh._parts, fresh._seen, fresh._grown
 
     def url(self, number: int, image: str) -> str:
         """Where the browser finds an image of the frame of a number."""
@@ -146,7 +146,7 @@ class Workspace:
         assert self.folder is not None
         assert self.manifest is not None
         predictions = read_predictions(path)
-        check_predictions(predictions, self.dataset, (dataset_id(self.manifest), self.folder.resolve().name))
+        check_predictions(predictions, self.dataset, (str(self.dataset.attrs["dataset_id"]), self.folder.resolve().name))
         name = predictions.model if predictions.model not in self.predictions else f"{predictions.model} ({path.name})"
         self.predictions[name] = predictions
         return name
@@ -194,6 +194,11 @@ def depth_range(dataset: xr.Dataset, row: int) -> tuple[float, float]:
 
 _ENOUGH = 100_000  # pixels, to tell the range of their depths
 _VANISHED = "bring it back to where it was, or end the studio and open another; labels are kept beside it"
+
+
+def _changed(folder: Path) -> tuple[int, int]:
+    """When the manifest and the folder of a dataset were changed last, ns; OSError where there is none."""
+    return (folder / MANIFEST_NAME).stat().st_mtime_ns, folder.stat().st_mtime_ns
 
 
 def _parts(folder: Path) -> frozenset[str]:
