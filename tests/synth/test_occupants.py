@@ -70,7 +70,7 @@ def test_own_people_without_a_stature_have_the_usual_one() -> None:
         ({"anna": {"outfit": {"top": "toga"}}}, "outfit.top", "schema"),
         ({"anna": {"outfit": {"hat": "yes"}}}, "outfit.hat: unknown key", "did you mean people.own.anna.outfit.cap?"),
         ({"anna": {"age": 34}}, "people.own.anna.age: unknown key", "did you mean people.own.anna.years?"),
-        ({"anna": {"years": 2}}, "people.own.anna.years: must be greater than or equal to 3", "schema"),
+        ({"anna": {"years": -1}}, "people.own.anna.years: must be greater than or equal to 0", "From birth"),
     ],
 )  # fmt: skip
 def test_people_who_cannot_be_are_refused(own: dict[str, Any], message: str, hint: str) -> None:

@@ -111,7 +111,7 @@ def test_a_harness_lies_on_a_toddler() -> None:
     ("scene", "message"),
     [
         ({"occupants": {"rear_left": {"subject": "S01"}}}, r"S01 is 1.7\d m tall: a booster holds children of 1.00 to 1.25 m"),
-        ({"occupants": {"rear_left": {}}, "child_seats": {"rear_left": "infant"}}, "a child seat in which nobody sits: infant"),
+        ({"occupants": {"rear_left": {"subject": "S01"}}, "child_seats": {"rear_left": "infant"}}, "an infant holds children"),
         ({"belt_misuse": {"behind_back": 0.7, "under_arm": 0.7}}, "belt_misuse: the probabilities are 1.4 together"),
         ({"occupants": {"rear_left": {"belted": True, "belt": "none"}}}, "belted and belt say the same"),
         ({"objects": {"driver": {"blanket": 1.0}}}, "nothing is draped over the driver"),

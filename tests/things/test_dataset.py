@@ -94,7 +94,6 @@ def test_an_empty_front_seat_makes_room_for_a_carrier() -> None:
         ({"child_seats": {"boot": "booster"}}, "unknown seat 'boot'"),
         ({"child_seats": {"rear_left": {"infant": 0.7, "toddler": 0.7}}}, "the probabilities are 1.4 together"),
         ({"objects": {"rear_left": {"piano": 0.1}}}, "unknown object 'piano'"),
-        ({"occupants": {"rear_left": {"subject": "S01"}}}, "the rear_left seat has an occupant and a child seat"),
     ],
 )
 def test_what_cannot_be_is_refused(scene: dict[str, object], message: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,12 +16,22 @@ from cabinpose.synth.cars import place_name
 from cabinpose.synth.config import CabinScene
 from cabinpose.synth.occupant import ExactPose
 from cabinpose.synth.plan import Plan
-from cabinpose.synth.posture import choose_setting
+from cabinpose.synth.posture import FREE_POSES, WITHOUT_SEAT, choose_setting
 from cabinpose.synth.posture.neighbours import close_seats, half_breadth
 from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.streams import weighted
-from cabinpose.synth.things import Brought, check_size, draw_child_seats, draw_objects, is_cloth, stature_range
+from cabinpose.synth.things import (
+    Brought,
+    check_size,
+    draw_child_seats,
+    draw_objects,
+    drawn,
+    is_cloth,
+    lies_in,
+    stature_range,
+    weights_of,
+)
 from cabinpose.synth.validate import Validator
 
 _FOR_LEGS_M = 0.08  # by which a front passenger's seat is slid forwards for a child behind it
@@ -32,8 +42,8 @@ class Cast:
     """A car and who sits in it.
 
     names, people: by slot · settings: of all seats · given: poses that are not solved · brought: kinds of child seats and objects
-    by slot · soft: kind and design of what is draped over seats and laps, by slot · things: what stands on the seats, once they
-    are furnished.
+    by slot · soft: kind and design of what is draped over seats and laps, by slot · doing: what children without a seat do, by
+    slot · things: what stands on the seats, once they are furnished.
     """
 
     car: str
@@ -45,12 +55,13 @@ class Cast:
     given: Mapping[str, OccupantPose]
     brought: Brought
     soft: Mapping[str, tuple[str, int]]
+    doing: Mapping[str, str] = field(default_factory=dict)
     things: tuple[PlacedThing, ...] = ()
 
     @cached_property
     def child_seats(self) -> Mapping[str, PlacedThing]:
-        """The child seats in which somebody can sit, by slot."""
-        return {thing.slot: thing for thing in self.things if thing.thing.sitting}
+        """The child seats in which somebody can sit or lie, by slot."""
+        return {thing.slot: thing for thing in self.things if thing.thing.sitting or thing.thing.lying}
 
     def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
@@ -73,6 +84,8 @@ class Casting:
         cabin, validator = self._plan.cabins.judged(car, drive_side)
         child_seats = draw_child_seats(scene.child_seats, cabin, rng=rng) if scene.child_seats and not scene.things else {}
         children = self._children(child_seats, rng)
+        loose, doing = self._loose(child_seats, cabin, rng)
+        children |= loose
         names = self._who(cabin, index, child_seats, children, rng)
         people = {slot: self._plan.subjects.person(name) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
@@ -84,14 +97,14 @@ class Casting:
             else seat.default
             for slot, seat in cabin.seats.items()
         }
-        for slot in children:
+        for slot in (slot for slot in children if not lies_in(child_seats.get(slot, ""))):
             settings |= _moved_forwards(cabin, slot, {s: v for s, v in settings.items() if s not in exact})
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
         objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
         soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if is_cloth(kind)}
         soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if is_cloth(thing.kind)}
         hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
-        return Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft)
+        return Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft, doing)
 
     def _children(self, child_seats: Mapping[str, str], rng: np.random.Generator) -> dict[str, str]:
         """Who sits in which child seat. Raises ConfigError for somebody who is too tall or too small for it."""
@@ -100,15 +113,41 @@ class Casting:
         for slot, kind in child_seats.items():
             occupant = scene.occupants.get(slot)
             statures = stature_range(kind)
-            if statures is None or (occupant is None and not (scene.children and rng.random() < scene.children)):
+            share = scene.infants if lies_in(kind) else scene.children
+            if statures is None or (occupant is None and not (share and rng.random() < share)):
                 continue
             if occupant is not None and occupant.subject is not None:
                 result[slot] = occupant.subject
                 check_size(occupant.subject, subjects.person(occupant.subject).stature_m, kind)
             else:
-                able = [name for name in subjects.children(statures) if name not in result.values()]
+                young = kind == "toddler" and bool(scene.toddlers) and rng.random() < scene.toddlers
+                kinds = "I" if lies_in(kind) else "T" if young else "K"
+                able = [name for name in subjects.children(statures, kinds) if name not in result.values()]
                 result[slot] = able[int(rng.integers(len(able)))]
         return result
+
+    def _loose(
+        self, child_seats: Mapping[str, str], cabin: Cabin, rng: np.random.Generator
+    ) -> tuple[dict[str, str], dict[str, str]]:
+        """Who is in the car without a seat, and what they do: by slot."""
+        scene, subjects = self._scene, self._plan.subjects
+        asked: dict[str, Mapping[str, float]] = {
+            slot: {o.action: 1.0} for slot, o in scene.occupants.items() if o.action in WITHOUT_SEAT and slot not in child_seats
+        }
+        asked |= {slot: weights_of(choice, WITHOUT_SEAT) for slot, choice in scene.loose_children.items()}
+        names, doing = dict[str, str](), dict[str, str]()
+        for slot, weights in asked.items():
+            action = drawn(weights, rng=rng)
+            if action is None or slot not in cabin.seats:
+                continue
+            occupant = scene.occupants.get(slot)
+            doing[slot] = action
+            if occupant is not None and occupant.subject is not None:
+                names[slot] = occupant.subject
+            else:
+                able = [name for name in subjects.children(FREE_POSES[action].stature_m, "TK") if name not in names.values()]
+                names[slot] = able[int(rng.integers(len(able)))]
+        return names, doing
 
     def _who(
         self, cabin: Cabin, index: int, without: Collection[str], children: Mapping[str, str], rng: np.random.Generator

@@ -38,7 +38,7 @@ from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.occupant import ExactThing, Occupant
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.pictures.settings import Images
-from cabinpose.synth.posture import ACTIONS
+from cabinpose.synth.posture import ACTIONS, WITHOUT_SEAT
 from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.style.settings import Style
 from cabinpose.synth.things import (
@@ -49,6 +49,7 @@ from cabinpose.synth.things import (
     Choice,
     check_child_seats,
     check_held,
+    check_loose,
     check_shares,
     is_cloth,
     weights_of,
@@ -124,6 +125,19 @@ class CabinScene(Model):
     children: Probability = Field(
         0.0, exclude_if=operator.not_, description="Share of toddler seats and boosters in which a child of 3 to 11 years sits."
     )
+    infants: Probability = Field(
+        0.0, exclude_if=operator.not_, description="Share of infant carriers in which an infant of up to a year lies."
+    )
+    toddlers: Probability = Field(
+        0.0,
+        exclude_if=operator.not_,
+        description="Share of the children in toddler seats who are 9 months to 3 years old, in place of 3 years and more.",
+    )
+    loose_children: Mapping[str, Choice] = Field(
+        {},
+        exclude_if=operator.not_,
+        description=f"By seat: how likely a child without a seat is there: {', '.join(WITHOUT_SEAT)}, or any.",
+    )
     attachments: Mapping[Attachment, Probability] = Field(
         {},
         exclude_if=operator.not_,
@@ -156,7 +170,8 @@ class CabinScene(Model):
     @property
     def tells_restraints(self) -> bool:
         """Whether frames say how people and child seats are held, and who is a child."""
-        return bool(self.children or self.belt_misuse or self.attachments or any(o.belt for o in self.occupants.values()))
+        young = self.children or self.infants or self.toddlers or self.loose_children
+        return bool(young or self.belt_misuse or self.attachments or any(o.belt for o in self.occupants.values()))
 
     @property
     def cloth_labels(self) -> frozenset[str]:
@@ -209,6 +224,8 @@ class CabinScene(Model):
         occupants = self.occupants.values()
         asked = {
             "scene.factorial": self.factorial,
+            "scene.infants": self.infants,
+            "scene.loose_children": self.loose_children,
             "profile but mocap": any(p and p.kind != "mocap" for p in (self.profile, *(o.profile for o in occupants))),
             "initial_pose_deg": any(o.initial_pose_deg for o in occupants),
             "pose": any(o.pose for o in occupants),
@@ -228,6 +245,7 @@ class CabinScene(Model):
                 hint="leave out the occupant's subject, or give factorial.seat another seat",
             )
         check_child_seats(self.child_seats, self.always_taken, self.objects)
+        check_loose(self.loose_children, (*self.always_taken, *self.child_seats))
         check_held(self.held)
         check_shares("attachments", self.attachments)
         check_shares("belt_misuse", self.belt_misuse)

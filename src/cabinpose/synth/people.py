@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.scene.body import (
     DEFAULT_RANGES,
+    SEATED_YEARS,
     STATURE_LIMITS_M,
     SUBJECTS,
     YEARS_LIMITS,
@@ -28,7 +29,7 @@ _RANDOM_PERSON = re.compile(r"R\d{4,}")
 EVENLY = "evenly"  # in place of a population: parameters of shape, each by itself
 _USUAL_POPULATION, _ADULT_YEARS = "nhanes", 18.0
 _OF_SIZE = ("years", "stature_cm", "mass_kg", "gender")
-CHILD_NAME = re.compile(r"K(0\d|1\d|2[0-3])")  # who sits in child seats
+CHILD_NAME = re.compile(r"([IKT])(0\d|1\d|2[0-3])")  # infants in carriers, children of 3 to 11 years, toddlers
 
 
 class Model(BaseModel):
@@ -82,7 +83,7 @@ class RandomPeople(Model):
         """Of a population: those asked for, or adults where it has any."""
         population = self.drawn_from
         first, last = population.years() if population else YEARS_LIMITS
-        first = max(first, YEARS_LIMITS[0])
+        first = max(first, SEATED_YEARS)
         if "years" in self.ranges:
             return self.ranges["years"].min, self.ranges["years"].max
         return (max(first, _ADULT_YEARS) if last > _ADULT_YEARS + 2.0 else first), last
@@ -132,7 +133,7 @@ class OwnPerson(Model):
     """Somebody of the user's own, in years, centimetres and kilograms."""
 
     gender: Literal["female", "male"] | Probability = Field(0.5, description="female, male, or from 0 (male) to 1 (female).")
-    years: float = Field(35.0, ge=YEARS_LIMITS[0], le=YEARS_LIMITS[1])
+    years: float = Field(35.0, ge=YEARS_LIMITS[0], le=YEARS_LIMITS[1], description="From birth, 0, to 80.")
     stature_cm: float | None = Field(
         None, ge=100.0 * STATURE_LIMITS_M[0], le=100.0 * STATURE_LIMITS_M[1], description="Left out: the mean of gender and age."
     )

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import SceneError
+from cabinpose.core import ConfigError, SceneError
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
-from cabinpose.synth.posture import draw_offset, random_action
+from cabinpose.synth.posture import FREE_POSES, IN_CARRIER, FreePose, draw_free_pose, draw_offset, random_action
 from cabinpose.synth.posture.actions import ACTIONS, IN_CHILD_SEAT
 from cabinpose.synth.posture.context import SeatContext
 from cabinpose.synth.posture.goals import given as as_given
@@ -54,6 +54,9 @@ class Posing:
         """What somebody seeks; index: of a profile's combination or pose · doing: what is done, in place of a draw."""
         scene, seat = self.scene, cast.cabin.seats[slot]
         others = {s: person for s, person in cast.people.items() if s != slot}
+        if (free := self._free_pose(cast, slot, rng)) is not None:
+            on = cast.child_seats.get(slot)
+            return draw_free_pose(SeatContext(cast.people[slot], seat, cast.settings[slot], cast.cabin, on=on), free, rng=rng)
         neighbours = neighbours_of(cast.people[slot], slot, cast.cabin, others, rng=rng)
         action = self._action(cast, slot, neighbours, rng) if doing is None else doing.action
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
@@ -63,6 +66,19 @@ class Posing:
             doing = Doing(action, in_hand=_in_hand(scene, action, rng), things=scene.held)
         initial = scene.occupant(slot).initial
         return draw_pose(seated, doing, Prescribed(scene.profile_of(slot), initial, index), rng=rng)
+
+    def _free_pose(self, cast: Cast, slot: str, rng: np.random.Generator) -> FreePose | None:
+        """What an infant in a carrier does, or a child without a seat; None for who sits."""
+        asked, on = self.scene.occupant(slot).action, cast.child_seats.get(slot)
+        if slot in cast.doing:
+            return FREE_POSES[cast.doing[slot]]
+        if on is None or on.thing.lying is None:
+            return None
+        weights = {asked: 1.0} if asked is not None else self.scene.motion.get(slot, IN_CARRIER)
+        action = weighted(weights, rng=rng)
+        if action not in FREE_POSES:
+            raise ConfigError(f"'{action}' makes no sense in a carrier", hint=f"there: {', '.join(IN_CARRIER)}")
+        return FREE_POSES[action]
 
     def _action(self, cast: Cast, slot: str, neighbours: Neighbours, rng: np.random.Generator) -> str:
         scene, occupant = self.scene, self.scene.occupant(slot)

@@ -15,6 +15,7 @@ from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, Wearer, fastenin
 from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
+from cabinpose.synth.posture import straps_of
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.things import drawn
 
@@ -73,6 +74,8 @@ def belt_guide(on: PlacedThing, body: PosedBody, anchor: Floats) -> Floats | Non
 
 def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
     """Where a harness comes out of its shell, (2, 3) m each, vehicle frame: behind the shoulders and beside the hips."""
+    if on.thing.lying is not None:
+        return straps_of({name: body.joints[i] for name, i in CABINPOSE.index.items()}, on.vehicle_from_thing)
     height = apply(invert(on.vehicle_from_thing), body.joints[CABINPOSE.indices(("lshoulder", "rshoulder"))])[:, 2].mean()
     places = ((height + _SLOT_M[2], *_SLOT_M[:2]), (_sitting(on).cushion[0] + _HIP_M[2], *_HIP_M[:2]))
     slots, hips = (np.stack([_beside_back(on, z, ahead, s * aside) for s in (1.0, -1.0)]) for z, ahead, aside in places)
@@ -85,10 +88,10 @@ def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.rando
     clothed = person.posed.surface(1 + OCCUPANT_SLOTS.index(person.slot))
     how = _belt_wear(scene, person.slot, rng)
     wearer = Wearer.of(clothed, person.posed.joints)
-    if on is not None and _sitting(on).harness:
+    if on is not None and (on.thing.lying is not None or _sitting(on).harness):
         harness = wearer.harness(*straps(on, person.posed))
         return replace(person, surfaces=(clothed, harness), belt="harness")
-    if seat.belt is None or how == "none":
+    if seat.belt is None or how == "none" or person.slot in cast.doing:
         return replace(person, surfaces=(clothed,))
     guide = None if on is None else belt_guide(on, person.posed, seat.belt.upper)
     setting = cast.settings[person.slot]

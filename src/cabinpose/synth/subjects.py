@@ -9,12 +9,13 @@ import numpy as np
 
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.scene.body import (
+    SEATED_YEARS,
     SUBJECTS,
-    YEARS_LIMITS,
     BodyModel,
     Outfit,
     Person,
     Phenotype,
+    Sex,
     age_of,
     load_population,
     usual_stature_m,
@@ -24,9 +25,12 @@ from cabinpose.synth.once import cached_once
 from cabinpose.synth.people import CHILD_NAME, OwnPerson, People
 from cabinpose.synth.streams import CHILD_STREAM, PEOPLE_STREAM, frame_rng, own_rng
 
-CHILDREN, _CHILD_YEARS = 24, (3.0, 11.5)  # for child seats, of evenly spread ages
+CHILDREN = 24  # of each kind, of evenly spread ages
+# Who lies in carriers, sits on child seats, and toddlers in harnesses or without a seat: by the first letter of their names.
+_CHILD_YEARS = {"I": (0.0, 1.0), "K": (3.0, 11.5), "T": (0.75, 3.0)}
+_LEAST_M = {"K": 0.90}  # of who is drawn for a child seat: shorter ones are among toddlers
 _MUSCLES = (0.3, 0.2, 0.1, 0.0)  # of own people, the first with which a body can have the mass: heavy ones have less
-_BEARD_YEARS, _BALD_YEARS = 16.0, 25.0
+_BEARD_YEARS, _BALD_YEARS, _WALKS_YEARS = 16.0, 25.0, 1.0
 _WEIGHT = 0.65  # of own people; about the average of S01 .. S18
 
 
@@ -49,10 +53,12 @@ class Subjects:
             phenotype = replace(phenotype, asymmetry=int(own_rng(0 if named else self._seed, name).integers(1, 1 << 31)))
         return phenotype, outfit
 
-    def children(self, stature_m: tuple[float, float]) -> list[str]:
-        """The children whose stature is in a range, m."""
-        statures = {name: self.body(name)[0].stature_m or 0.0 for name in (f"K{number:02d}" for number in range(CHILDREN))}
-        return [name for name, stature in statures.items() if stature_m[0] <= stature <= stature_m[1]]
+    def children(self, stature_m: tuple[float, float], kinds: str = "K") -> list[str]:
+        """The children whose stature is in a range, m; kinds: first letters of their names."""
+        names = [f"{kind}{number:02d}" for kind in kinds for number in range(CHILDREN)]
+        statures = {name: self.body(name)[0].stature_m or 0.0 for name in names}
+        low, high = stature_m
+        return [name for name, stature in statures.items() if max(low, _LEAST_M.get(name[0], 0.0)) <= stature <= high]
 
     def _symmetric_body(self, name: str) -> tuple[Phenotype, Outfit]:
         if name in SUBJECTS:
@@ -63,11 +69,12 @@ class Subjects:
             except ConfigError as error:
                 raise ConfigError(f"{name}: {error}", hint=error.hint) from None
         if child := CHILD_NAME.fullmatch(name):
-            rng = frame_rng(self._seed, CHILD_STREAM + int(child[1]))
-            years = np.interp(int(child[1]) + rng.random(), (0, CHILDREN), _CHILD_YEARS)
+            number, kinds = int(child[2]), {"K": 0, "I": 1, "T": 2}
+            rng = frame_rng(self._seed, CHILD_STREAM + CHILDREN * kinds[child[1]] + number)
+            years = np.interp(number + rng.random(), (0, CHILDREN), _CHILD_YEARS[child[1]])
             population = crowd.drawn_from if (crowd := self._people.random) else None
             if population is None or not population.has(years):
-                population = load_population("nhanes")
+                population = load_population("nhanes" if years >= SEATED_YEARS else "cdc")
             body = Phenotype.of_size(population.draw(rng=rng, years=(years, years)), rng=rng)
             return body, _suited(Outfit.random(rng=rng), body)
         crowd = self._people.random
@@ -80,7 +87,7 @@ class Subjects:
     def _old_enough(self, name: str) -> bool:
         """Whether somebody drives in this dataset."""
         least = self._people.driver_years
-        return least <= YEARS_LIMITS[0] or self.body(name)[0].years >= least
+        return least <= SEATED_YEARS or self.body(name)[0].years >= least
 
     def _make_person(self, name: str) -> Person:
         if name in SUBJECTS and not self._people.asymmetric:
@@ -99,8 +106,14 @@ def _named_person(name: str) -> Person:
 
 
 def _suited(outfit: Outfit, phenotype: Phenotype) -> Outfit:
-    """The outfit with the beard and baldness of men alone."""
+    """The outfit with the beard and baldness of men alone, and what infants wear."""
     grown_man = phenotype.gender < 0.5 and phenotype.years >= _BEARD_YEARS
+    if phenotype.years < SEATED_YEARS:
+        outfit = replace(outfit, glasses=False)
+    if phenotype.years < _WALKS_YEARS:  # in a romper suit, socks and little hair
+        bottom = "trousers" if outfit.bottom == "jeans" else outfit.bottom
+        outfit = replace(outfit, beard=False, bottom=bottom, shoes="none", hair="short")
+        return replace(outfit, hair="bald") if outfit.folds % 2 else outfit
     return replace(
         outfit,
         beard=outfit.beard and grown_man,
@@ -113,6 +126,11 @@ def _own_body(own: OwnPerson) -> tuple[Phenotype, Outfit]:
     gender = {"male": 0.0, "female": 1.0}.get(own.gender, 0.5) if isinstance(own.gender, str) else own.gender
     age = age_of(own.years)
     stature = own.stature_cm / 100.0 if own.stature_cm is not None else usual_stature_m(gender, age)[0]
+    if own.years < SEATED_YEARS and own.weight is None and own.muscle is None:
+        sex: Sex = "female" if gender > 0.5 else "male"
+        usual = load_population("cdc").of_percentile(sex, 50.0, own.years)
+        mass = own.mass_kg if own.mass_kg is not None else usual.mass_kg * (stature / usual.stature_m) ** 2
+        return Phenotype.of_size(usual.with_size(stature, mass), rng=None), own.outfit
     muscles = _MUSCLES if own.muscle is None else (own.muscle,)
     weight = _WEIGHT if own.weight is None else own.weight
     body = Phenotype(gender, age, muscles[0], weight, own.height, own.proportions, stature)

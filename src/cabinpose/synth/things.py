@@ -38,6 +38,7 @@ from cabinpose.scene.things import (
 )
 from cabinpose.synth.once import cached_once
 from cabinpose.synth.people import Probability
+from cabinpose.synth.posture import WITHOUT_SEAT
 from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.validate import Rejection, Seated, Validator, touched_by
 
@@ -50,7 +51,7 @@ CLOTH = tuple(name for name, kind in OBJECTS.items() if isinstance(kind, Cloth))
 HELD = tuple(name for name, kind in OBJECTS.items() if kind.held_at)
 CLOTH_LABELS = frozenset(OBJECTS[name].label for name in CLOTH)
 EMPTY_CHILD_SEATS = tuple(name for name in CHILD_SEATS if not name.endswith("_in_use"))
-_HOLDING_CHILDREN = tuple(name for name in EMPTY_CHILD_SEATS if CHILD_SEATS[name].sitting)
+_HOLDING_CHILDREN = tuple(name for name in EMPTY_CHILD_SEATS if CHILD_SEATS[name].sitting or CHILD_SEATS[name].lying)
 _PLACES = 6  # tried for an object before the scene is drawn anew
 _CUSHION_M = 0.40  # of a cushion's length is used, from the backrest
 _LAP_PLACES, _FARTHER_M = 8, 0.015  # tried on a lap, each farther from the trunk
@@ -88,9 +89,34 @@ def things_for(what: Literal["child seat", "object"]) -> tuple[str, ...]:
 
 
 def stature_range(kind: str) -> tuple[float, float] | None:
-    """The least and the largest stature (m) of children who sit in a thing of a kind; None where none does."""
+    """The least and the largest stature (m) of children who sit or lie in a thing of a kind; None where none does."""
     row = THINGS[kind]
-    return row.sitting(0).stature_m if isinstance(row, ChildSeat) and row.sitting is not None else None
+    place = row.sitting or row.lying if isinstance(row, ChildSeat) else None
+    return None if place is None else place(0).stature_m
+
+
+def lies_in(kind: str) -> bool:
+    """Whether whoever is in a thing of a kind lies; "" is none."""
+    row = THINGS[kind] if kind else None
+    return isinstance(row, ChildSeat) and row.lying is not None
+
+
+def check_loose(loose: Mapping[str, Choice], taken: Sequence[str]) -> None:
+    """Raises ConfigError for children without a seat where none can be. taken: seats of others, and of child seats."""
+    for slot, choice in loose.items():
+        if slot not in OCCUPANT_SLOTS:
+            raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
+        if not slot.startswith("rear"):
+            raise ConfigError(f"no child stands, lies or crouches before the {slot} seat", hint="give it to a rear seat")
+        if slot in taken:
+            raise ConfigError(
+                f"the {slot} seat is taken, and a child without a seat is to be there", hint="leave out one of the two"
+            )
+        weights = weights_of(choice, WITHOUT_SEAT)
+        for name in weights:
+            if name not in WITHOUT_SEAT:
+                raise unknown_name("place of a child without a seat", name, ["any", *WITHOUT_SEAT])
+        check_shares(f"loose_children.{slot}", weights)
 
 
 def is_cloth(kind: str) -> bool:
@@ -142,8 +168,9 @@ def check_size(name: str, stature_m: float, kind: str) -> None:
         return
     ranges = ((other, stature_range(other)) for other in _HOLDING_CHILDREN)
     others = [other for other, range_m in ranges if range_m is not None and range_m[0] <= stature_m <= range_m[1]]
+    what = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
     raise ConfigError(
-        f"{name} is {stature_m:.2f} m tall: a {kind} holds children of {holds[0]:.2f} to {holds[1]:.2f} m",
+        f"{name} is {stature_m:.2f} m tall: {what} holds children of {holds[0]:.2f} to {holds[1]:.2f} m",
         hint=f"seat {name} in a {others[0]}" if others else "leave the child seat out, or name a child",
     )
 

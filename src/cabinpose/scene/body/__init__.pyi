@@ -10,6 +10,7 @@ from .model import PosedBody as PosedBody
 from .outfit import Outfit as Outfit
 from .phenotype import CHILD_YEARS as CHILD_YEARS
 from .phenotype import DEFAULT_RANGES as DEFAULT_RANGES
+from .phenotype import SEATED_YEARS as SEATED_YEARS
 from .phenotype import YEARS_LIMITS as YEARS_LIMITS
 from .phenotype import Phenotype as Phenotype
 from .phenotype import age_of as age_of
@@ -19,6 +20,7 @@ from .populations import POPULATIONS as POPULATIONS
 from .populations import STATURE_LIMITS_M as STATURE_LIMITS_M
 from .populations import Anthropometry as Anthropometry
 from .populations import Population as Population
+from .populations import Sex as Sex
 from .populations import load_population as load_population
 from .rig import BONE_INDEX as BONE_INDEX
 from .rig import BONES as BONES

@@ -84,7 +84,7 @@ _GIRTH_STEPS, _GIRTH_PER_ERROR, _MASS_ERROR = 5, 1.4, 0.005
 _OFF_BEFORE = 0.04  # largest error of a measure before the last of Newton's steps, which leaves a fraction of it
 _MOST = 0.6  # logarithm of the largest factor
 # Genders, ages, muscles and weights at which volumes are tabulated. Much fat shows on little muscle alone.
-_BUILDS = ((0.0, 1.0), (-0.7, -0.35, 0.0, 0.5, 1.0), (0.0, 0.5, 1.0), (0.0, 0.5, 0.75, 1.0))
+_BUILDS = ((0.0, 1.0), (-1.0, -0.9, -0.7, -0.35, 0.0, 0.5, 1.0), (0.0, 0.5, 1.0), (0.0, 0.5, 0.75, 1.0))
 _LEAST_MUSCLE, _FULL_WEIGHT = 0.1, 0.85  # muscle becomes less where the weight were above this
 
 

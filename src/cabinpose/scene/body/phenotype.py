@@ -22,21 +22,23 @@ DEFAULT_RANGES = MappingProxyType(
 # (NHANES 2015-2018), Vital and Health Statistics 3-46. Who is younger than 20 has that of the growth charts (CDC 2000).
 _STATURE_M, _OF_OLD = ((1.754, 0.075), (1.615, 0.071)), 0.97
 _GROWN_YEARS, _ADULT_YEARS = 20.0, 25.0
-_AGES, _YEARS = (-0.7, 0.0, 0.5, 1.0), (3.0, 10.0, 25.0, 80.0)  # what `age` stands for
+_AGES, _YEARS = (-1.0, -0.7, 0.0, 0.5, 1.0), (0.0, 3.0, 10.0, 25.0, 80.0)  # what `age` stands for
 YEARS_LIMITS = (_YEARS[0], _YEARS[-1])
+SEATED_YEARS = 3.0  # who is younger lies in a carrier, is harnessed, or has no seat: a crowd is not
 CHILD_YEARS = 12.0  # who is younger is a child
 
 _GENDER_SPREAD = 0.15  # of men from 0, of women from 1
 # The data's young girls have a woman's hips: girls have a boy's until puberty. And its `age` is linear from a child of ten to 25
 # years, whereas people of 16 are built as adults: those of a size follow their growth (CDC 2000: 0.7 of the way at 14 years).
 _PUBERTY, _GIRL = (9.0, 16.0), 0.3
-_MATURING_YEARS, _MATURING_AGES = (3.0, 10.0, 12.0, 14.0, 16.0, 18.0, 25.0, 80.0), (-0.7, 0.0, 0.2, 0.36, 0.45, 0.48, 0.5, 1.0)
+_MATURING_YEARS = (0.0, 3.0, 10.0, 12.0, 14.0, 16.0, 18.0, 25.0, 80.0)
+_MATURING_AGES = (-1.0, -0.7, 0.0, 0.2, 0.36, 0.45, 0.48, 0.5, 1.0)
 # Muscle where fat leaves room for it; proportions, of children uncommon, which have the narrower shoulders.
 _CHILDS_MUSCLE, _MUSCLE, _PROPORTIONS = 0.1, {"male": (0.2, 0.55), "female": (0.15, 0.45)}, 0.6
 
 
 def age_of(years: float) -> float:
-    """The body data's `age` of somebody of 3 to 80 years; below 0 under ten."""
+    """The body data's `age` of somebody of 0 to 80 years; below 0 under ten."""
     return float(np.interp(years, _YEARS, _AGES))
 
 
@@ -61,11 +63,12 @@ def _usual_stature_m(sex: Sex, years: float) -> tuple[float, float]:
 class Phenotype:
     """Shape parameters, each from 0 to 1 (Anny's, after MakeHuman's macro details), and a stature.
 
-    gender: 0 male, 1 female · age: -0.7 child of three, 0 child of ten, 0.5 young adult, 1 old · muscle and weight: 0.5 average ·
-    height: of the other five's body, mostly in its legs · proportions: 0 ideal, 1 uncommon · stature_m: the body is scaled
-    evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the woman) · asymmetry: number of the
-    pattern by which the sides differ, 0 where they do not · size: the stature, mass and dimensions that the body is made to, in
-    place of `weight` (and of `muscle`, where much fat needs less of it). Raises ConfigError outside.
+    gender: 0 male, 1 female · age: -1 newborn, -0.9 a year, -0.7 three years, 0 child of ten, 0.5 young adult, 1 old ·
+    muscle and weight: 0.5 average · height: of the other five's body, mostly in its legs · proportions: 0 ideal, 1 uncommon ·
+    stature_m: the body is scaled evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the
+    woman) · asymmetry: number of the pattern by which the sides differ, 0 where they do not · size: the stature, mass and
+    dimensions that the body is made to, in place of `weight` (and of `muscle`, where much fat needs less of it). Raises
+    ConfigError outside.
     """
 
     gender: float = 0.5
@@ -128,8 +131,8 @@ class Phenotype:
                 raise unknown_name("phenotype parameter", name, ("years", "stature_cm", *names))
             metres = STATURE_LIMITS_M
             limits = {
-                "stature_m": metres, "stature_cm": (100.0 * metres[0], 100.0 * metres[1]), "years": YEARS_LIMITS,
-                "age": (_AGES[0], 1.0),
+                "stature_m": metres, "stature_cm": (100.0 * metres[0], 100.0 * metres[1]),
+                "years": (SEATED_YEARS, YEARS_LIMITS[1]), "age": (age_of(SEATED_YEARS), 1.0),
             }  # fmt: skip
             least, greatest = limits.get(given, (0.0, 1.0))
             if not least <= low <= high <= greatest:

@@ -52,7 +52,7 @@ _UNITS = {"stature": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "mass": {"kg": 1.0, "lb
 _END_LENGTHS = (0.3, 3.0)  # factors by which a distribution's ends are made shorter or longer for its SD
 # Draws of one person, of which the first within the ranges counts, or that which is least beyond them (as a share of the limit).
 _TRIES, _NEARLY = 256, 0.05
-STATURE_LIMITS_M, BMI_LIMITS = (0.8, 2.3), (11.0, 55.0)  # of what bodies can be made (docs/populations.md)
+STATURE_LIMITS_M, BMI_LIMITS = (0.42, 2.3), (11.0, 55.0)  # of what bodies can be made (docs/populations.md)
 Limits: TypeAlias = tuple[float, float]
 
 
@@ -77,6 +77,12 @@ class Anthropometry:
     def bmi(self) -> float:
         """Body mass index, kg/m2."""
         return self.mass_kg / (self.stature_m * self.stature_m)
+
+    def with_size(self, stature_m: float, mass_kg: float) -> Anthropometry:
+        """Somebody of the same sex and age of another stature (m) and mass (kg), with the dimensions that are usual for both."""
+        sizes = _as_bodies_are(stature_m, mass_kg)
+        dimensions = proportions().dimensions_m(self.sex, self.years, sizes, np.zeros(len(DIMENSIONS)))
+        return Anthropometry(self.sex, self.years, *sizes, dimensions)
 
     def __getitem__(self, dimension: str) -> float:
         """One of the dimensions, m."""

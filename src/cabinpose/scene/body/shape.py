@@ -18,7 +18,7 @@ from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.rig import BONES
 
 ASSET, YOUNGER = "body.npz", "younger.npz"
-_BABY_AGE = -0.9  # that `YOUNGER` leads to, of a year
+_BABY_AGE, _NEWBORN_AGE = -0.9, -1.0  # that the two changes of `YOUNGER` lead to
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,9 @@ class ShapeSpace:
     Anny's shape is multilinear in the phenotypes between the corners of a grid (2 genders, 3 ages, 3 muscles, 3 weights,
     2 heights, 2 proportions); `coefficients` (216, rank) are those of the corners. faces: (F, 3) · bone_index,
     bone_weight: (V, 8), strongest first · mirror: (V,) each vertex's image on the other side ·
-    younger: (N, 3) what makes a baby of a child of ten, of which those in between have a share, as in MakeHuman · heads: by name,
-    the bone heads of the data, then the joint centres that lie off them (`anatomy`).
+    younger: (N, 3) what makes a baby of a child of ten, of which those in between have a share, as in MakeHuman · newborn: (N, 3)
+    likewise, a newborn of a baby · heads: by name, the bone heads of the data, then the joint centres that lie off them
+    (`anatomy`).
     """
 
     mean: Floats32
@@ -41,6 +42,7 @@ class ShapeSpace:
     bone_weight: Floats32
     mirror: Ints32
     younger: Floats32
+    newborn: Floats32
     heads: MappingProxyType[str, int]
     provenance: str
 
@@ -54,7 +56,9 @@ class ShapeSpace:
         points = np.empty_like(self.mean)
         native.blend_shapes(self.mean, self.basis, (weights[:, None] * self.coefficients).sum(axis=0), points)
         if p.age < 0.0:
-            points += np.float32(p.age / _BABY_AGE) * self.younger
+            points += np.float32(min(p.age / _BABY_AGE, 1.0)) * self.younger
+        if p.age < _BABY_AGE:
+            points += np.float32((p.age - _BABY_AGE) / (_NEWBORN_AGE - _BABY_AGE)) * self.newborn
         skin, heads = points[: self.vertex_count], points[self.vertex_count :].astype(np.float64)
         size = float(np.ptp(skin[:, 2]))
         centres = joint_centres(heads, self.heads, (p.gender, p.age), (size, p.stature_m or size))
@@ -88,6 +92,7 @@ def load_shape_space() -> ShapeSpace:
             weight,
             asset["mirror"],
             (asset["change"] * asset["step"]).astype(np.float32),
+            (asset["newborn"] * asset["step"]).astype(np.float32),
             MappingProxyType(named | centre_names(named)),
             str(asset["provenance"]),
         )

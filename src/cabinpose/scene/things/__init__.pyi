@@ -2,6 +2,7 @@ from .child_seats import CHILD_SEAT_LABELS as CHILD_SEAT_LABELS
 from .child_seats import CHILD_SEATS as CHILD_SEATS
 from .child_seats import BeltPath as BeltPath
 from .child_seats import ChildSeat as ChildSeat
+from .child_seats import Lying as Lying
 from .child_seats import Sitting as Sitting
 from .objects import CLOTH_M as CLOTH_M
 from .objects import OBJECTS as OBJECTS

@@ -39,6 +39,18 @@ class Sitting(NamedTuple):
     harness: bool = False
 
 
+class Lying(NamedTuple):
+    """Where an infant lies in a child seat that looks back, in its frame seen from the side.
+
+    stature_m: of the infants that it holds, lying · back: two points (x, z) m of the padding under the back, from the hips to the
+    head · bottom_m: height of the padding under the buttocks.
+    """
+
+    stature_m: tuple[float, float]
+    back: tuple[tuple[float, float], tuple[float, float]]
+    bottom_m: float
+
+
 class BeltPath(NamedTuple):
     """Where a belt runs that holds a child seat: points of its lap and its shoulder part, (3,) m of the seat's frame.
 
@@ -53,11 +65,13 @@ class BeltPath(NamedTuple):
 class ChildSeat(Kind):
     """A child seat. One called `NAME_in_use` stands in place of NAME once a child sits in it.
 
-    sitting: where a child sits, of a design; None where none does · belt_path: of the car's belt, where that or isofix holds it.
+    sitting: where a child sits, of a design; None where none does · belt_path: of the car's belt, where that or isofix holds it ·
+    lying: where an infant lies, likewise.
     """
 
     sitting: Callable[[int], Sitting] | None = None
     belt_path: BeltPath | None = None
+    lying: Callable[[int], Lying] | None = None
 
 
 def _scaled(pieces: tuple[Piece, ...], scale: float) -> tuple[Piece, ...]:
@@ -184,13 +198,17 @@ def _in_toddler(variant: int) -> Sitting:
     return Sitting((0.90, 1.05), (scale * 0.130, 0.15), (scale * 0.135, -0.236), scale * 0.41, harness=True)
 
 
+def _in_infant(variant: int) -> Lying:
+    scale = of_design(0.91, 1.0, variant, 1)
+    return Lying((0.45, 0.76), ((scale * 0.340, scale * 0.155), (scale * 0.600, scale * 0.368)), scale * 0.135)
+
+
 _IN_CARRIER = BeltPath(((0.330, 0.0, 0.28), (0.610, 0.0, 0.36)), over=True)
 _IN_TODDLER = BeltPath(((0.120, 0.0, 0.13), (0.000, 0.0, 0.40)))
 # Classes by the words of SVIRO: an infant seat looks back, a child seat forward.
-# Nobody lies in an infant carrier: the bodies begin at three years.
 CHILD_SEATS: Mapping[str, ChildSeat] = MappingProxyType(
     {
-        "infant": ChildSeat("infant_seat", _infant, belt_path=_IN_CARRIER),
+        "infant": ChildSeat("infant_seat", _infant, belt_path=_IN_CARRIER, lying=_in_infant),
         "toddler": ChildSeat("child_seat", _toddler, sitting=_in_toddler, belt_path=_IN_TODDLER),
         "booster": ChildSeat("child_seat", _booster, sitting=_in_booster),
         "booster_cushion": ChildSeat("child_seat", _booster_cushion, sitting=_on_booster_cushion),

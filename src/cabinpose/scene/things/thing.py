@@ -15,7 +15,7 @@ from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, balls_of, group_field
 from cabinpose.scene.contact.triangles import sampled_surface
 from cabinpose.scene.surface import Surface, merge
-from cabinpose.scene.things.child_seats import CHILD_SEAT_LABELS, CHILD_SEATS, ChildSeat, Sitting
+from cabinpose.scene.things.child_seats import CHILD_SEAT_LABELS, CHILD_SEATS, ChildSeat, Lying, Sitting
 from cabinpose.scene.things.objects import OBJECTS
 from cabinpose.scene.things.pieces import THINGS, Piece
 
@@ -43,7 +43,7 @@ class Thing:
     """One design of a kind of thing, in its own frame: x forward as it stands on a seat, z up, origin on its underside.
 
     kind: its name, of `THINGS` · variant: the design, 0 to `VARIANTS` - 1 · label: the class of its pixels · pieces: closed
-    solids with their materials · sitting: where a child sits in a child seat, else None.
+    solids with their materials · sitting, lying: where a child sits or an infant lies in a child seat, else None.
     """
 
     kind: str
@@ -51,6 +51,7 @@ class Thing:
     label: str
     pieces: tuple[Piece, ...]
     sitting: Sitting | None = None
+    lying: Lying | None = None
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
@@ -93,7 +94,8 @@ def make_thing(kind: str, variant: int) -> Thing:
     if row.make is None:
         raise unknown_name("thing", kind, [name for name, each in {**CHILD_SEATS, **OBJECTS}.items() if each.make is not None])
     sitting = row.sitting(design) if isinstance(row, ChildSeat) and row.sitting is not None else None
-    return Thing(kind, design, row.label, row.make(design), sitting)
+    lying = row.lying(design) if isinstance(row, ChildSeat) and row.lying is not None else None
+    return Thing(kind, design, row.label, row.make(design), sitting, lying)
 
 
 Attachment = Literal["isofix", "belt"]

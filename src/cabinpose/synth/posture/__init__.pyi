@@ -2,6 +2,12 @@ from .actions import ACTIONS as ACTIONS
 from .actions import Action as Action
 from .actions import Gaze as Gaze
 from .actions import actions_for as actions_for
+from .children import FREE_POSES as FREE_POSES
+from .children import IN_CARRIER as IN_CARRIER
+from .children import WITHOUT_SEAT as WITHOUT_SEAT
+from .children import FreePose as FreePose
+from .children import draw_free_pose as draw_free_pose
+from .children import straps_of as straps_of
 from .context import SeatContext as SeatContext
 from .context import Trunk as Trunk
 from .feet import GROUND_M as GROUND_M
