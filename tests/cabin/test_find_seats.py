@@ -53,6 +53,7 @@ def test_seats_and_wheel_of_the_presets_are_found(name: str, fused: bool, tmp_pa
     assert not found.warnings
 
 
+@pytest.mark.slow
 def test_right_hand_drive_is_told_by_the_wheel(tmp_path: Path) -> None:
     found, off = drafted(build_cabin("sedan", drive_side="right"), tmp_path, fused=True)
     assert found.drive_side == "right"
@@ -84,6 +85,7 @@ def test_a_box_has_no_seats() -> None:
     assert find_seats(np.asarray(trimesh.creation.box((3.0, 1.6, 1.2)).triangles)) == []
 
 
+@pytest.mark.slow
 def test_what_was_not_found_stands_there_as_an_example(tmp_path: Path) -> None:
     mesh = write_car(build_cabin("shuttle"), tmp_path / "car.glb", fused=True)
     lines = draft_car_file(mesh, tmp_path / "car.yaml").text.splitlines()

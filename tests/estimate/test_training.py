@@ -72,7 +72,7 @@ def curve(folder: Path) -> dict[tuple[str, int], float]:
     }
 
 
-@pytest.mark.parametrize("method", ["compact", "lifting"])
+@pytest.mark.parametrize("method", [pytest.param("compact", marks=pytest.mark.slow), "lifting"])
 def test_a_killed_run_goes_on_with_the_same_curve(method: str, tmp_path: Path) -> None:
     c = config(method)
     fit(c, frames(c), frames(c), tmp_path / "whole", machines=ONE)
@@ -281,6 +281,7 @@ def test_a_run_begins_with_the_weights_of_another(checkpoints: dict[str, Path], 
     assert not all(torch.allclose(value, before[name], atol=1e-8) for name, value in fresh.network.named_parameters())
 
 
+@pytest.mark.slow
 def test_a_short_run_is_not_judged_by_the_weights_it_began_with(checkpoints: dict[str, Path], tmp_path: Path) -> None:
     """After eight steps the average, of a decay made for thousands, has come as far as half of the way of the weights."""
     before = dict(load_detector(checkpoints["compact"]).network.named_parameters())

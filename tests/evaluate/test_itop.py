@@ -28,6 +28,7 @@ def number(report: Report, metric: str, space: str = "3d", threshold: float | No
 
 
 @pytest.mark.real_data
+@pytest.mark.slow
 def test_a2j_scores_as_published(real_data: RealData) -> None:
     reference = read_itop_reference(real_data("itop/itop_side_keypoints3D_test.mat"))
     uvd = np.asarray(loadmat(real_data("itop/a2j_itop_side_predictions.mat"))["resultUVD"], float)

@@ -40,7 +40,7 @@ from cabinpose.evaluate import frame_batch
 from cabinpose.record.sources import SOURCES
 from cabinpose.scene.cabin.meshfile import read_mesh
 from cabinpose.signals import Channels, Facts, HostClock, Sample, SegmentPoses, ToFFrame
-from cabinpose.store import open_dataset, read_itop_frames, read_itop_reference, read_manifest
+from cabinpose.store import open_dataset, read_itop_frames, read_itop_reference
 from cabinpose.store.class_images import read_class_images, write_class_images
 from cabinpose.store.convert import FORMATS, LabelFormat, NoOptions, export_dataset, import_recording, open_source, read_clip
 from cabinpose.store.frames import write_png
@@ -207,7 +207,7 @@ def corrected(folder: Path) -> Callable[[Path], None]:
     """The reading of a COCO file, its joints held against those of the dataset."""
     data = dataset(folder / "corrected")
     images = open_dataset(data).load()
-    labelling = Labelling(images, open_labels(folder / "corrected.jsonl", images, read_manifest(data)))
+    labelling = Labelling(images, open_labels(folder / "corrected.jsonl", images))
     form = FORMATS["coco-labels"]
     assert isinstance(form, LabelFormat)
     return lambda path: corrections(labelling, path, form.read(path, NoOptions()))

@@ -93,6 +93,7 @@ def camera_rig(camera: Camera) -> Rig:
 # ------------------------------------------------------------------------------------------------ every frame
 
 
+@pytest.mark.slow
 def test_dataset_gives_what_predict_writes(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
     live, predicted = tmp_path / "live.jsonl", tmp_path / "predicted.jsonl"
     assert run("live", "--source", dataset_folder, "--predictions", live).code == 0

@@ -33,6 +33,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return sphere_people.write(tmp_path_factory.mktemp("spheres") / "dataset", sphere_people.manifest())
 
 
+@pytest.mark.slow
 def test_serve_answers_what_predict_finds(process: Callable[..., Any], run: Run, dataset: Path, tmp_path: Path) -> None:
     server = process("-m", "cabinpose", "serve", "--model", "in_car", "--port", "0")
     address = server.stdout.readline().strip()

@@ -78,6 +78,7 @@ def test_every_damage_is_refused_or_harmless(copy: Path, name: str) -> None:
     assert harmless < refused
 
 
+@pytest.mark.slow
 def test_a_manifest_that_was_cut_is_refused_at_every_byte(copy: Path) -> None:
     path = copy / "dataset.yaml"
     text = path.read_text()

@@ -108,6 +108,7 @@ def test_many_damaged_files(tmp_path: Path, name: str) -> None:
         survive(reader(name), content, tmp_path / f"{part}-damaged", ending(name), count=MANY.get(name, 1000), seed=2)
 
 
+@pytest.mark.slow
 def test_what_is_not_borne_is_found(tmp_path: Path) -> None:
     def refuses(path: Path) -> None:
         raise RecordingError("no")

@@ -69,6 +69,7 @@ def test_hands_hold_what_is_named(extension: Callable[..., None]) -> None:
     assert "phone" in str(caught.value.hint)
 
 
+@pytest.mark.slow
 def test_a_sequence_with_an_action_of_another_package(extension: Callable[..., None]) -> None:
     extension("acme", OFFERS, CODE)
     sequence = {"frames": 12, "rate_hz": 4, "activities": ["open_umbrella"]}

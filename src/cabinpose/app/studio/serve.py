@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import secrets
 import socket
 import sys
@@ -23,6 +24,7 @@ from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import ConfigError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_M_ARENA_MAX = -8  # of glibc's malloc.h
 CONNECT_S = 30.0  # within which a browser that has loaded the page opens its WebSocket
 
 
@@ -41,6 +43,7 @@ def serve(
         raise ConfigError(
             f"{host} is open to other machines", hint="give --token, which their browsers then need, or leave out --host"
         )
+    _few_heaps()
     listening = _bound(host, port)
     address = f"http://{host}:{listening.getsockname()[1]}/" + (f"?token={in_address(token)}" if token else "")
     server = uvicorn.Server(uvicorn.Config(application(workspace, token), log_level="warning", ws_max_size=1 << 24))
@@ -77,6 +80,15 @@ def application(workspace: Workspace, token: str | None = None) -> FastAPI:
     )  # fmt: skip
     app.add_middleware(Guard, token=token)
     return app
+
+
+def _few_heaps() -> None:
+    """Let threads share two heaps, where the C library is glibc.
+
+    It has up to eight a processor, and what one has let go no other fills: memory grows with each thread that answers.
+    """
+    if (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)) is not None:
+        mallopt(_M_ARENA_MAX, 2)
 
 
 def _not_found(request: Request, _: Exception) -> PlainTextResponse:
