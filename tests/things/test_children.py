@@ -179,10 +179,11 @@ def test_cloth_lies_on_what_is_below_and_nothing_comes_through(taken: bool, kind
 
 
 def test_there_is_no_cloth_where_all_is_high_above_the_thighs() -> None:
-    from cabinpose.synth.draping import draped
+    from cabinpose.synth.draping import Ground, draped
 
     scene, somebody = drawn("booster", "rear_left")
     raised = [replace(surface, vertices=surface.vertices + np.float32((0.25, 0.0, 0.3))) for surface in somebody.surfaces]
     cabin, setting = scene.cabin, scene.settings["rear_left"]
     assert cabin is not None
-    assert draped("blanket", 0, "rear_left", cabin, setting, somebody.posed, raised) is None
+    ground = Ground.of(cabin.seats["rear_left"], setting, somebody.posed, None, 0)
+    assert draped("blanket", 0, ground, raised) is None

@@ -9,16 +9,26 @@ import numpy as np
 
 from cabinpose.scene import Surface
 from cabinpose.scene.body import PosedBody
+from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
-from cabinpose.synth.draping import draped
+from cabinpose.synth.draping import Ground, draped
 from cabinpose.synth.once import cached_once
 from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.restraints import fastening, restrained
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.things import Blocked, SeatThings, bring_along, is_cloth
 from cabinpose.synth.validate import Rejection, Seated
+
+_TUB = (" shell", " padding")  # of a carrier, on which cloth may lie
+
+
+def _seat_surfaces(cabin: Cabin, slot: str, setting: SeatSetting) -> list[Surface]:
+    """The parts of a seat on which cloth may lie, vehicle frame."""
+    at = cabin.group_transforms({slot: setting})
+    parts = [part for part in cabin.parts if part.group.startswith(f"seat:{slot}/") and not part.name.endswith("buckle")]
+    return [part.surface.moved(at[part.group]) for part in parts]
 
 
 class Furnishing:
@@ -54,8 +64,16 @@ class Furnishing:
         cloths = []
         for slot, (kind, variant) in cast.soft.items():
             who = next((p for p in people if p.slot == slot), None)
-            below = ((), None) if who is None else (who.surfaces, who.posed)
-            cloths.append(draped(kind, variant, slot, cast.cabin, cast.settings[slot], below[1], below[0]))
+            seat, setting, carrier = cast.cabin.seats[slot], cast.settings[slot], cast.child_seats.get(slot)
+            if carrier is not None and carrier.thing.lying is None:
+                carrier = None
+            if carrier is None:
+                below = _seat_surfaces(cast.cabin, slot, setting)
+            else:
+                below = [p.surface.moved(carrier.vehicle_from_thing) for p in carrier.thing.parts if p.name.endswith(_TUB)]
+            below += () if who is None else who.surfaces
+            ground = Ground.of(seat, setting, None if who is None else who.posed, carrier, variant)
+            cloths.append(draped(kind, variant, ground, below))
         return tuple(cloth for cloth in cloths if cloth is not None)
 
     @staticmethod

@@ -171,7 +171,7 @@ def check_size(name: str, stature_m: float, kind: str) -> None:
     what = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
     raise ConfigError(
         f"{name} is {stature_m:.2f} m tall: {what} holds children of {holds[0]:.2f} to {holds[1]:.2f} m",
-        hint=f"seat {name} in a {others[0]}" if others else "leave the child seat out, or name a child",
+        hint=f"seat {name} in one that is called {others[0]}" if others else "leave the child seat out, or name a child",
     )
 
 
@@ -205,13 +205,17 @@ def draw_child_seats(child_seats: Mapping[str, Choice], cabin: Cabin, *, rng: np
 def draw_objects(
     objects: Mapping[str, Choice], cabin: Cabin, taken: Sequence[str], child_seats: Mapping[str, str], *, rng: np.random.Generator
 ) -> dict[str, str]:
-    """The kinds of objects of one frame, by seat: where somebody sits those that lie on a lap, none where a child seat stands."""
+    """The kinds of objects of one frame, by seat: where somebody sits those that lie on a lap.
+
+    Where a child seat stands there are none, but for cloth over an infant in a carrier.
+    """
     result = {}
     for slot in OCCUPANT_SLOTS:
         if slot not in objects:
             continue
         kind = drawn(weights_of(objects[slot], ON_LAPS if slot in taken else ON_SEATS), rng=rng)
-        if kind is None or slot not in cabin.seats or slot in child_seats:
+        covered = kind is not None and is_cloth(kind) and slot in taken and lies_in(child_seats.get(slot, ""))
+        if kind is None or slot not in cabin.seats or (slot in child_seats and not covered):
             continue
         if is_cloth(kind) or (THINGS[kind].on_lap if slot in taken else THINGS[kind].on_seat):
             result[slot] = kind

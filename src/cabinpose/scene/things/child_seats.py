@@ -195,7 +195,7 @@ def _on_booster_cushion(variant: int) -> Sitting:
 
 def _in_toddler(variant: int) -> Sitting:
     scale = of_design(0.92, 1.04, variant, 1)
-    return Sitting((0.90, 1.05), (scale * 0.130, 0.15), (scale * 0.135, -0.236), scale * 0.41, harness=True)
+    return Sitting((0.70, 1.05), (scale * 0.130, 0.15), (scale * 0.135, -0.236), scale * 0.41, harness=True)
 
 
 def _in_infant(variant: int) -> Lying:

@@ -33,9 +33,14 @@ _LYING_ON = ("pelvis", "abdomen", "thorax")
 _SAG_M = 0.008  # of skin in padding and foam
 _LEAST_SKIN = 12  # vertices that carry
 _SMALL_M = 0.01  # standard deviation of where somebody is, m
-_BEFORE_EDGE_M = 0.15  # feet, from the front edge of a rear cushion
+_BEFORE_EDGE_M, _BEHIND_FRONT_M = (
+    0.15,
+    0.07,
+)  # pelvis, from the front edge of a rear cushion: of who is there, stands behind a seat
+_ASIDE_M = 0.15
 _EDGE_M = 0.33  # of that edge from the H-point
 _ABOVE_FLOOR_M = 0.006
+_NECK_DOWN = math.radians(14.0)  # of somebody on the side, whose shoulder is below
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +70,7 @@ _DRAWN_UP: Mapping[str, Spread] = {
     "hip.flexion": (92.0, 7.0), "hip.abduction": (32.0, 5.0), "hip.rotation": (-25.0, 7.0), "knee.flexion": (85.0, 12.0),
     "ankle.dorsiflexion": (5.0, 6.0), "lumbar.flexion": (18.0, 3.0), "thorax.flexion": (8.0, 3.0),
 }  # fmt: skip
-_HOLDING_ON = _arm(62.0, 12.0, 10.0, 40.0)
+_HOLDING_ON, _IN_FRONT = _arm(62.0, 12.0, 10.0, 40.0), _arm(72.0, 4.0, 35.0, 85.0, 6.0)
 FREE_POSES: Mapping[str, FreePose] = MappingProxyType(
     {
         pose.name: pose
@@ -88,7 +93,7 @@ FREE_POSES: Mapping[str, FreePose] = MappingProxyType(
             ),
             FreePose(
                 "child_lie", EITHER, EITHER, weight=0.0, where="bench", stature_m=(0.45, 1.30), asleep=True,
-                arms=(_ON_CHEST, _HANGING),
+                arms=(_IN_FRONT,),
                 angles={"hip.flexion": (62.0, 9.0), "knee.flexion": (88.0, 10.0), "hip.abduction": (2.0, 2.0),
                         "lumbar.flexion": (14.0, 5.0), "thorax.flexion": (6.0, 4.0), "neck.flexion": (8.0, 5.0)},
             ),
@@ -205,16 +210,22 @@ def _edge(seated: SeatContext) -> Floats:
 
 def _standing(seated: SeatContext, q: Floats, scores: Floats) -> Matrix:
     """Before the seat, facing forwards, feet on the floor."""
-    pitch = 0.5 * float(q[DOF_INDEX["lhip.flexion"]])
-    turn = rp.matmul(axis_rotation("z", 0.15 * float(scores[0])), axis_rotation("y", pitch))
-    place = _edge(seated) + seated.forward * (_BEFORE_EDGE_M + _SMALL_M * float(scores[1]))
+    aside = abs(float(seated.seat.design_h_point[1])) > _ASIDE_M  # behind a front seat, not between the two
+    pitch = (0.1 if aside else 0.5) * float(q[DOF_INDEX["lhip.flexion"]])
+    turn = rp.matmul(axis_rotation("z", (0.6 if aside else 0.15) * float(scores[0])), axis_rotation("y", pitch))
+    ahead = (_BEHIND_FRONT_M if aside else _BEFORE_EDGE_M) + _SMALL_M * float(scores[1])
+    place = _edge(seated) + seated.forward * ahead
     return _laid(seated.person, q, turn, place, (_floor(seated),), ("lfoot", "rfoot"))
 
 
 def _on_bench(seated: SeatContext, q: Floats, scores: Floats) -> Matrix:
-    """On the side, the face to the front, the head towards the car's middle or, in the middle, to either side."""
+    """On the side, the face to the front, the head towards the car's middle or, in the middle, to either side.
+
+    The neck bends down, in place of q.
+    """
     side = float(np.sign(seated.seat.design_h_point[1])) or (1.0 if scores[0] > 0.0 else -1.0)
     frame = cushion_frame(seated.seat, seated.setting)
+    q[DOF_INDEX["neck.lateral"]] = -side * _NECK_DOWN
     cushion, back = _Plane(frame[:3, 3], frame[:3, 2]), _Plane(frame[:3, 3] + 0.02 * frame[:3, 0], frame[:3, 0])
     # x of the root to the front, z towards the other side
     turn = np.column_stack((frame[:3, 0], side * frame[:3, 2], -side * frame[:3, 1]))
