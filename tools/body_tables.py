@@ -8,6 +8,8 @@ Tables, each of Markdown, with what is beyond its limit in bold:
  bands      the same by band
  adults     300 bodies of adults, measured on their mesh against what was asked of each
  children   300 bodies from 3 to 17 years, likewise
+ infants    median infants and toddlers of CDC 2000, measured on their mesh against what is published
+ dummies    median children measured against crash dummies of the same age
  girths     circumferences, which are not asked for, of 60 men and 60 women of ANSUR II against its means
  reach      how many of a population are beyond what bodies can be
  joints     lengths between joints of 200 adults a sex, as shares of stature, against what is published
@@ -36,10 +38,12 @@ from cabinpose.scene.body import (
     DIMENSIONS,
     DOFS,
     POPULATIONS,
-    YEARS_LIMITS,
+    SEATED_YEARS,
     Anthropometry,
     BodyModel,
+    Person,
     Phenotype,
+    Sex,
     load_chart,
     load_population,
 )
@@ -55,6 +59,28 @@ GIRTHS_MM = {
     "male": {"chest": 1058.7, "waist": 940.6, "buttocks": 1019.5, "thigh": 625.1, "calf": 392.3},
     "female": {"chest": 946.9, "waist": 860.9, "buttocks": 1021.2, "thigh": 616.1, "calf": 373.3},
 }
+
+
+INFANT_MONTHS = (0, 3, 6, 12, 24, 36)
+# Medians of CDC 2000 at these ages: length (stature from two years), mass and head circumference, cm and kg.
+INFANTS: dict[Sex, tuple[tuple[float, float, float], ...]] = {
+    "male": ((50.0, 3.5, 35.8), (60.8, 6.0, 41.2), (67.0, 7.9, 43.7), (75.5, 10.3, 46.3), (86.5, 12.7, 48.7), (95.0, 14.3, 49.7)),
+    "female": (
+        (49.3, 3.4, 34.7),
+        (59.3, 5.5, 39.9),
+        (65.3, 7.2, 42.4),
+        (73.8, 9.5, 45.0),
+        (85.0, 12.1, 47.5),
+        (93.9, 13.9, 48.6),
+    ),
+}
+SITTING_SHARE = (0.69, 0.68, 0.67, 0.65, 0.60, 0.57)  # of the length: medians of the Dutch growth study, 3 months interpolated
+# Years, mass (kg) and sitting height with the head tilted forward (mm) of the Q dummies (UN Regulation's dummy annex).
+DUMMIES = {
+    "Q0": (0.0, 3.47, 355.0), "Q1": (1.0, 9.6, 479.0), "Q1.5": (1.5, 11.1, 499.0), "Q3": (3.0, 14.59, 544.0),
+    "Q6": (6.0, 22.95, 601.0), "Q10": (10.0, 35.58, 733.7),
+}  # fmt: skip
+LIMIT_OF_INFANTS_PERCENT = 5.0
 
 
 def rng() -> np.random.Generator:
@@ -81,7 +107,7 @@ def published(population: str) -> Iterator[tuple[str, float, float, dict[str, li
             years = (float(row["years_from"]), float(row["years_to"]))
         cells.setdefault((row["sex"], *years), {})[row["measure"]] = values
     for (sex, first, last), measures in cells.items():
-        if first >= YEARS_LIMITS[0] and (first != last or first % 3 == 0 or first == YEARS_LIMITS[0]):
+        if first >= SEATED_YEARS and (first != last or first % 3 == 0 or first == SEATED_YEARS):
             yield sex, first, last, measures
 
 
@@ -153,6 +179,42 @@ def bodies(years: tuple[float, float], scale: float, populations: tuple[str, ...
             marked(largest, LIMIT_OF_BODIES_PERCENT),
             f"{beyond} of {len(off)}",
         ]
+
+
+def infants(_: float) -> Iterator[list[str]]:
+    """Median children from birth to three years, measured; sitting height against a share of the length."""
+    yield [
+        "sex",
+        "months",
+        *(f"{what}: published, ours, off %" for what in ("length, cm", "mass, kg", "head, cm", "sitting height, cm")),
+    ]
+    for sex, published in INFANTS.items():
+        for month, sitting, (length, mass, head) in zip(INFANT_MONTHS, SITTING_SHARE, published, strict=True):
+            person = median(sex, month / 12)
+            at = person.dimensions_m
+            pairs = (
+                (length, 100 * at["stature"]), (mass, person.mass_kg), (head, 100 * at["head_circumference"]),
+                (sitting * length, 100 * at["sitting_height"]),
+            )  # fmt: skip
+            off = [marked(100 * (ours / asked - 1), LIMIT_OF_INFANTS_PERCENT) for asked, ours in pairs]
+            yield [sex, str(month), *(f"{p:.1f}, {o:.1f}, {d}" for (p, o), d in zip(pairs, off, strict=True))]
+
+
+def dummies(_: float) -> Iterator[list[str]]:
+    """The mean of a median boy and girl against dummies, which are as old as their names say."""
+    yield ["dummy", "years", "mass, kg: dummy, ours", "off, %", "sitting height, mm: dummy, ours", "off, %"]
+    for name, (years, mass, sitting) in DUMMIES.items():
+        people = [median(sex, years) for sex in INFANTS]
+        ours = np.mean([(p.mass_kg, 1000 * p.dimensions_m["sitting_height"]) for p in people], axis=0)
+        off = 100 * (ours / (mass, sitting) - 1)
+        mass_off, sitting_off = (marked(value, LIMIT_OF_INFANTS_PERCENT) for value in off)
+        masses, heights = f"{mass:.2f}, {ours[0]:.2f}", f"{sitting:.0f}, {ours[1]:.0f}"
+        yield [name, f"{years:g}", masses, mass_off, heights, sitting_off]
+
+
+def median(sex: Sex, years: float) -> Person:
+    """The median child of an age."""
+    return BodyModel.load().person(Phenotype.of_size(load_population("cdc").of_percentile(sex, 50.0, years), rng=None))
 
 
 def reach(scale: float) -> Iterator[list[str]]:
@@ -267,6 +329,8 @@ TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "bands": draws_by_band,
     "adults": lambda scale: bodies((18.0, 81.0), scale, ("nhanes", "ansur")),
     "children": lambda scale: bodies((3.0, 17.0), scale, ("nhanes", "cdc")),
+    "infants": infants,
+    "dummies": dummies,
     "girths": girths,
     "reach": reach,
     "joints": joints,

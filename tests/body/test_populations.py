@@ -92,7 +92,17 @@ def body(size: Anthropometry, seed: int = 1) -> Person:
     return BodyModel.load().person(Phenotype.of_size(size, rng=rng(seed)))
 
 
-def by_hand(person: Person) -> dict[str, float]:
+# Medians of CDC 2000 at 0, 3, 6, 12, 24 and 36 months: length (from two years stature), mass, head
+# circumference, cm and kg.
+INFANTS = {
+    "male": ((50.0, 60.8, 67.0, 75.5, 86.5, 95.0), (3.5, 6.0, 7.9, 10.3, 12.7, 14.3), (35.8, 41.2, 43.7, 46.3, 48.7, 49.7)),
+    "female": ((49.3, 59.3, 65.3, 73.8, 85.0, 93.9), (3.4, 5.5, 7.2, 9.5, 12.1, 13.9), (34.7, 39.9, 42.4, 45.0, 47.5, 48.6)),
+}
+INFANT_YEARS = (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
+SITTING_SHARE = (0.69, 0.68, 0.67, 0.65, 0.60, 0.57)  # of the length: medians of the Dutch growth study
+
+
+def by_hand(person: Person, brow_m: tuple[float, ...] = ()) -> dict[str, float]:
     """Some dimensions by other means than the package's: trimesh on the whole posed skin."""
     standing, sitting = np.zeros(len(DOFS)), np.zeros(len(DOFS))
     sitting[[DOF_INDEX[s + joint] for s in "lr" for joint in ("hip.flexion", "knee.flexion", "elbow.flexion")]] = np.pi / 2
@@ -105,7 +115,8 @@ def by_hand(person: Person) -> dict[str, float]:
     size, eyes = person.stature_m / 1.75, up.eyes_m[2]
     x, knee = sat.skin[:, 0], sat.bones[BONES.index("lshank"), 0, 3]
     legs = np.isin(person.skin_segment, [SEGMENTS.index(name) for name in ("pelvis", "lthigh", "rthigh", "lshin")])
-    rings = (mesh_plane(mesh, [0, 0, 1], [0, 0, eyes + h * size]).reshape(-1, 3) for h in (0.03, 0.04, 0.05))
+    brow = brow_m or (0.03 * size, 0.04 * size, 0.05 * size)
+    rings = (mesh_plane(mesh, [0, 0, 1], [0, 0, eyes + h]).reshape(-1, 3) for h in brow)
     left_hand = up.skin[person.skin_segment == SEGMENTS.index("lhand")]
     return {
         "stature": float(np.ptp(mesh.bounds[:, 2])),
@@ -114,6 +125,22 @@ def by_hand(person: Person) -> dict[str, float]:
         "head_circumference": max(float(ConvexHull(ring[:, :2]).area) for ring in rings),
         "hand_length": float(np.linalg.norm(left_hand - up.bones[BONES.index("lhand"), :3, 3], axis=1).max()),
     }
+
+
+@pytest.mark.parametrize("sex", INFANTS)
+@pytest.mark.parametrize("row", range(len(INFANT_YEARS)))
+def test_infants_and_toddlers_measure_the_published_medians(sex: str, row: int) -> None:
+    person = BodyModel.load().person(
+        Phenotype.of_size(load_population("cdc").of_percentile(sex, 50.0, INFANT_YEARS[row]), rng=None)
+    )
+    found = by_hand(person, brow_m=tuple(np.arange(0.01, 0.04, 0.006)))
+    length, mass, head = (values[row] for values in INFANTS[sex])
+    assert found["stature"] == pytest.approx(length / 100, rel=0.02)
+    assert found["head_circumference"] == pytest.approx(head / 100, rel=0.05)
+    assert found["sitting_height"] == pytest.approx(SITTING_SHARE[row] * length / 100, rel=0.05)
+    mesh = trimesh.Trimesh(person.rest_skin, person.skin_faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.volume * BODY_DENSITY == pytest.approx(mass, rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["nhanes_male_p5", "nhanes_female_p95", "ansur_male_p50", "cdc_female_6y_p50"])

@@ -32,6 +32,14 @@ def test_vertices_and_bone_heads_are_annys(row: int) -> None:
     assert_allclose(heads[: len(REFERENCE["bones"])], REFERENCE["heads"][row] @ OURS_FROM_ANNY.T, atol=2.5e-3)
 
 
+@pytest.mark.parametrize(("row", "age"), [(0, -0.9), (1, -1.0)])
+def test_a_baby_and_a_newborn_are_annys(row: int, age: float) -> None:
+    """Of the one build for which the assets have them; the left and right of blend shapes are averaged, as everybody's."""
+    build = {"gender": 0.5, "muscle": 0.5, "weight": 0.5, "height": 0.45, "proportions": 0.3}
+    skin, _ = load_shape_space().shape(Phenotype(age=age, **build))
+    assert_allclose(skin[REFERENCE["chosen"]], REFERENCE["infants"][row] @ OURS_FROM_ANNY.T, atol=1.5e-4)
+
+
 @pytest.mark.parametrize("row", range(len(REFERENCE["people"])))
 def test_skinning_kernel_reproduces_annys_posed_vertices(row: int) -> None:
     weights = REFERENCE["weights"]

@@ -33,7 +33,8 @@ from cabinpose.synth.things import ON_LAPS, ON_SEATS
 # Largest extents (m) that designs may have: UN R16 Annex 17's fixtures for child seats, common sense for the rest.
 LARGEST = {
     "infant": (0.75, 0.44, 0.66), "toddler": (0.60, 0.44, 0.72), "booster": (0.60, 0.44, 0.72),
-    "booster_cushion": (0.50, 0.46, 0.20), "toddler_in_use": (0.60, 0.44, 0.72), "open_book": (0.30, 0.24, 0.07),
+    "booster_cushion": (0.50, 0.46, 0.20), "toddler_in_use": (0.60, 0.44, 0.72), "infant_in_use": (0.75, 0.44, 0.66),
+    "open_book": (0.30, 0.24, 0.07),
     "box": (0.36, 0.40, 0.28), "bag": (0.20, 0.38, 0.42), "backpack": (0.32, 0.34, 0.52), "bottle": (0.08, 0.08, 0.26),
     "cup": (0.10, 0.10, 0.17), "book": (0.16, 0.24, 0.04), "laptop": (0.40, 0.38, 0.27), "phone": (0.08, 0.17, 0.01),
 }  # fmt: skip

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cabinpose.core import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS, ConfigError
 from cabinpose.scene.body import DOFS, Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.things import VARIANTS, PlacedThing
@@ -34,6 +34,7 @@ from cabinpose.synth.things import (
 )
 from cabinpose.synth.validate import Validator
 
+SITS_YEARS = 1.0  # from when on a child sits on a car's own seat (assumed: of those who are there, few do)
 _FOR_LEGS_M = 0.08  # by which a front passenger's seat is slid forwards for a child behind it
 
 
@@ -99,12 +100,20 @@ class Casting:
         }
         for slot in (slot for slot in children if not lies_in(child_seats.get(slot, ""))):
             settings |= _moved_forwards(cabin, slot, {s: v for s, v in settings.items() if s not in exact})
+        for slot, person in people.items():
+            if person.phenotype.years < SITS_YEARS and slot not in {**child_seats, **doing, **exact} and not scene.things:
+                raise ConfigError(
+                    f"{names[slot]} is a child of {person.phenotype.years:.2g} years, who does not sit by itself",
+                    hint=f"give scene.child_seats.{slot}: infant, or action: child_lie",
+                )
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
         objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
         soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if is_cloth(kind)}
         soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if is_cloth(thing.kind)}
         hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
-        return Cast(car, cabin, validator, names, people, settings, given, Brought(child_seats, hard), soft, doing)
+        return Cast(
+            car, cabin, validator, names, people, settings, given, Brought(_in_use(child_seats, names), hard), soft, doing
+        )
 
     def _children(self, child_seats: Mapping[str, str], rng: np.random.Generator) -> dict[str, str]:
         """Who sits in which child seat. Raises ConfigError for somebody who is too tall or too small for it."""
@@ -178,6 +187,11 @@ def slimmest_in_the_middle(
             slimmest = min((slot, *close), key=lambda s: half_breadth(person(people[s])))
             result[slot], result[slimmest] = people[slimmest], people[slot]
     return result
+
+
+def _in_use(child_seats: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
+    """The kinds of child seats, of carriers in which somebody lies as they then stand."""
+    return {slot: f"{kind}_in_use" if slot in names and lies_in(kind) else kind for slot, kind in child_seats.items()}
 
 
 def _moved_forwards(cabin: Cabin, slot: str, settings: Mapping[str, SeatSetting]) -> dict[str, SeatSetting]:

@@ -38,7 +38,7 @@ from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.occupant import ExactThing, Occupant
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.pictures.settings import Images
-from cabinpose.synth.posture import ACTIONS, WITHOUT_SEAT
+from cabinpose.synth.posture import ACTIONS, FREE_POSES, WITHOUT_SEAT
 from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.style.settings import Style
 from cabinpose.synth.things import (
@@ -171,7 +171,12 @@ class CabinScene(Model):
     def tells_restraints(self) -> bool:
         """Whether frames say how people and child seats are held, and who is a child."""
         young = self.children or self.infants or self.toddlers or self.loose_children
-        return bool(young or self.belt_misuse or self.attachments or any(o.belt for o in self.occupants.values()))
+        return bool(
+            young
+            or self.belt_misuse
+            or self.attachments
+            or any(o.belt or o.action in FREE_POSES for o in self.occupants.values())
+        )
 
     @property
     def cloth_labels(self) -> frozenset[str]:

@@ -74,6 +74,8 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             occupancy={},
             things=things,
             children=drawn.children,
+            infants=drawn.infants,
+            toddlers=drawn.toddlers,
             belt_misuse=drawn.belt_misuse,
             attachments=drawn.attachments,
         ),

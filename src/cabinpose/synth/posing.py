@@ -54,13 +54,15 @@ class Posing:
         """What somebody seeks; index: of a profile's combination or pose · doing: what is done, in place of a draw."""
         scene, seat = self.scene, cast.cabin.seats[slot]
         others = {s: person for s, person in cast.people.items() if s != slot}
+        on = cast.child_seats.get(slot)
         if (free := self._free_pose(cast, slot, rng)) is not None:
-            on = cast.child_seats.get(slot)
             return draw_free_pose(SeatContext(cast.people[slot], seat, cast.settings[slot], cast.cabin, on=on), free, rng=rng)
         neighbours = neighbours_of(cast.people[slot], slot, cast.cabin, others, rng=rng)
         action = self._action(cast, slot, neighbours, rng) if doing is None else doing.action
+        if action in FREE_POSES:  # asked for by `motion`
+            where = SeatContext(cast.people[slot], seat, cast.settings[slot], cast.cabin, on=on)
+            return draw_free_pose(where, FREE_POSES[action], rng=rng)
         offset = draw_offset(scene.people_jitter_m, np.radians(scene.people_jitter_deg), rng=rng)
-        on = cast.child_seats.get(slot)
         seated = SeatContext(cast.people[slot], seat, cast.settings[slot], cast.cabin, offset, neighbours, on)
         if doing is None:
             doing = Doing(action, in_hand=_in_hand(scene, action, rng), things=scene.held)
@@ -72,6 +74,8 @@ class Posing:
         asked, on = self.scene.occupant(slot).action, cast.child_seats.get(slot)
         if slot in cast.doing:
             return FREE_POSES[cast.doing[slot]]
+        if asked in FREE_POSES:
+            return FREE_POSES[str(asked)]
         if on is None or on.thing.lying is None:
             return None
         weights = {asked: 1.0} if asked is not None else self.scene.motion.get(slot, IN_CARRIER)

@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
-from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, Wearer, fastening_surface
+from cabinpose.scene.cabin import WEBBING_WIDTH, BeltWear, Cabin, SeatSetting, Wearer, fastening_surface
 from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
@@ -19,6 +19,7 @@ from cabinpose.synth.posture import straps_of
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.things import drawn
 
+_INFANT_STRAP_M = 0.024  # width of the harness of a carrier (assumed)
 _GUIDE_M = (0.04, 0.020, 0.035)  # before the back, farther aside than the middle of the shoulder, above it
 _SLOT_M, _HIP_M = (0.010, 0.055, 0.010), (0.100, 0.125, 0.035)  # likewise; the hips' above the cushion
 
@@ -89,7 +90,8 @@ def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.rando
     how = _belt_wear(scene, person.slot, rng)
     wearer = Wearer.of(clothed, person.posed.joints)
     if on is not None and (on.thing.lying is not None or _sitting(on).harness):
-        harness = wearer.harness(*straps(on, person.posed))
+        width = WEBBING_WIDTH if on.thing.lying is None else _INFANT_STRAP_M
+        harness = wearer.harness(*straps(on, person.posed), width_m=width)
         return replace(person, surfaces=(clothed, harness), belt="harness")
     if seat.belt is None or how == "none" or person.slot in cast.doing:
         return replace(person, surfaces=(clothed,))

@@ -1,3 +1,4 @@
+from .belt import WEBBING_WIDTH as WEBBING_WIDTH
 from .belt import BeltMisuse as BeltMisuse
 from .belt import BeltWear as BeltWear
 from .belt import Wearer as Wearer

@@ -104,11 +104,11 @@ class Wearer(NamedTuple):
         courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up, lap=True))
         return merge([_ribbon(body, course, gap_m) for course in courses])
 
-    def harness(self, slots: Floats, hips: Floats, *, gap_m: float = 0.004) -> Surface:
+    def harness(self, slots: Floats, hips: Floats, *, gap_m: float = 0.004, width_m: float = WEBBING_WIDTH) -> Surface:
         """The harness of a child seat over the child in it, vehicle frame, class child_seat.
 
         slots, hips: (2, 3) m, where its straps come out of the shell behind the left and the right shoulder, and beside the hips
-        · gap_m: as for `belt`.
+        · gap_m: as for `belt` · width_m: of the straps.
         """
         body = _Trunk.of(self)
         buckle = body.pelvis + body.size * (0.135 * body.ahead + 0.05 * body.up)
@@ -118,7 +118,7 @@ class Wearer(NamedTuple):
         ]
         before = body.pelvis + 0.12 * body.size * body.ahead
         courses += [_Course(hip, before, buckle, body.ahead + body.up, lap=True) for hip in hips]
-        return merge([_ribbon(body, course, gap_m, "child_seat") for course in courses])
+        return merge([_ribbon(body, course, gap_m, "child_seat", width_m) for course in courses])
 
 
 class _Trunk(NamedTuple):
@@ -271,14 +271,14 @@ class _Course(NamedTuple):
     lap: bool = False
 
 
-def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt") -> Surface:
+def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt", width: float = WEBBING_WIDTH) -> Surface:
     straight = course.front is None
     rows = np.array((*course[:3], course.through - course.start if straight else course.front), dtype=np.float64)
     vertices, normals = np.empty((2, STEPS, 3, 3), np.float32), np.empty((2, STEPS, 3, 3), np.float32)
     mine = [n for n in range(len(_TRUNK)) if body.shoulders or n not in _SHOULDERS]
     order = [*mine, *(() if body.shoulders else _SHOULDERS)]
     trunk = _TrunkBones(body.bones[order], _GIRTH[order], len(mine))
-    webbing = _Webbing(WEBBING_WIDTH, WEBBING_THICKNESS, gap)
+    webbing = _Webbing(width, WEBBING_THICKNESS, gap)
     faces = body.faces[course.lap][: 0 if straight else None]
     turned = native.belt_ribbon(body.skin, faces, trunk, rows, webbing, vertices=vertices, normals=normals)
     topology = _ribbon_faces(turned)

@@ -21,6 +21,7 @@ from cabinpose.scene.things.pieces import Kind, Piece, of_design, shell
 
 PADDING_M = 0.020  # of a child seat gives way, on which a hand or a neighbour's arm may lie
 ARMREST_M = 0.028  # of a booster, from its cushion to the middle of the rests
+_TILTED_RAD, _TILTED_ABOUT, _TILTED_BACK_M = np.radians(16.0), (0.25, 0.13), 0.045  # of a carrier in use, (x, z) m
 _LINER, _SHELL = (0.0, 0.022), (0.020, 0.040)  # padding over the shell that carries it
 
 
@@ -122,6 +123,17 @@ def _infant(variant: int) -> tuple[Piece, ...]:
     return _scaled(pieces, of_design(0.91, 1.0, variant, 1))
 
 
+def _infant_in_use(variant: int) -> tuple[Piece, ...]:
+    """The same with an infant in it: a foot of the base is out, so that the tub lies flatter on a cushion that slopes back."""
+    scale = of_design(0.91, 1.0, variant, 1)
+    (x, z), back = (scale * _TILTED_ABOUT[0], scale * _TILTED_ABOUT[1]), scale * _TILTED_BACK_M
+
+    def tilted(solid: Solid) -> Solid:
+        return solid.shifted(-x, 0.0, -z).turned("y", _TILTED_RAD).shifted(x - back, 0.0, z)
+
+    return tuple(p if p.name == "base" else p._replace(solid=tilted(p.solid)) for p in _infant(variant))
+
+
 def _toddler_in_use(variant: int) -> tuple[Piece, ...]:
     """The same with a child in it, on which the harness lies then."""
     return tuple(piece for piece in _toddler(variant) if piece.name not in ("harness", "buckle"))
@@ -200,7 +212,16 @@ def _in_toddler(variant: int) -> Sitting:
 
 def _in_infant(variant: int) -> Lying:
     scale = of_design(0.91, 1.0, variant, 1)
-    return Lying((0.45, 0.76), ((scale * 0.340, scale * 0.155), (scale * 0.600, scale * 0.368)), scale * 0.135)
+
+    def tilted(x: float, z: float) -> tuple[float, float]:
+        ahead, up = x - _TILTED_ABOUT[0], z - _TILTED_ABOUT[1]
+        sine, cosine = float(rp.sin(_TILTED_RAD)), float(rp.cos(_TILTED_RAD))
+        return (
+            scale * (_TILTED_ABOUT[0] - _TILTED_BACK_M + cosine * ahead + sine * up),
+            scale * (_TILTED_ABOUT[1] - sine * ahead + cosine * up),
+        )
+
+    return Lying((0.45, 0.76), (tilted(0.340, 0.155), tilted(0.600, 0.368)), tilted(0.24, 0.135)[1])
 
 
 _IN_CARRIER = BeltPath(((0.330, 0.0, 0.28), (0.610, 0.0, 0.36)), over=True)
@@ -212,6 +233,7 @@ CHILD_SEATS: Mapping[str, ChildSeat] = MappingProxyType(
         "toddler": ChildSeat("child_seat", _toddler, sitting=_in_toddler, belt_path=_IN_TODDLER),
         "booster": ChildSeat("child_seat", _booster, sitting=_in_booster),
         "booster_cushion": ChildSeat("child_seat", _booster_cushion, sitting=_on_booster_cushion),
+        "infant_in_use": ChildSeat("infant_seat", _infant_in_use, belt_path=_IN_CARRIER, lying=_in_infant),
         "toddler_in_use": ChildSeat("child_seat", _toddler_in_use, sitting=_in_toddler, belt_path=_IN_TODDLER),
     }
 )

@@ -68,7 +68,7 @@ _ON_CHEST, _BESIDE_HEAD, _HANGING = _arm(30.0, 22.0, 50.0, 105.0), _arm(20.0, 75
 _WAVING = _arm(60.0, 35.0, 0.0, 70.0, 22.0)
 _DRAWN_UP: Mapping[str, Spread] = {
     "hip.flexion": (92.0, 7.0), "hip.abduction": (32.0, 5.0), "hip.rotation": (-25.0, 7.0), "knee.flexion": (85.0, 12.0),
-    "ankle.dorsiflexion": (5.0, 6.0), "lumbar.flexion": (18.0, 3.0), "thorax.flexion": (8.0, 3.0),
+    "ankle.dorsiflexion": (5.0, 6.0), "lumbar.flexion": (12.0, 3.0), "thorax.flexion": (8.0, 3.0),
 }  # fmt: skip
 _HOLDING_ON, _IN_FRONT = _arm(62.0, 12.0, 10.0, 40.0), _arm(72.0, 4.0, 35.0, 85.0, 6.0)
 FREE_POSES: Mapping[str, FreePose] = MappingProxyType(
