@@ -15,6 +15,7 @@ Tables, each of Markdown, with what is beyond its limit in bold:
  joints     lengths between joints of 200 adults a sex, as shares of stature, against what is published
  child joints   the same of children
  hips       distance of the femur heads by stature
+ drivers    which share of the poses drawn for drivers of `nhanes` holds in a car, by body mass index, and who finds none
 
 --scale: a share of the draws and bodies, to try it quickly.
 """
@@ -24,6 +25,7 @@ from __future__ import annotations
 import argparse
 import csv
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from statistics import NormalDist
 
@@ -47,6 +49,11 @@ from cabinpose.scene.body import (
     load_chart,
     load_population,
 )
+from cabinpose.synth import SynthConfig
+from cabinpose.synth.car_scenes import CarScenes
+from cabinpose.synth.plan import Plan
+from cabinpose.synth.scene import Attempts
+from cabinpose.synth.streams import frame_rng
 
 Array = NDArray[np.float64]
 LIMIT_PERCENT = {"stature": 2.0, "mass": 5.0}  # of draws
@@ -54,6 +61,7 @@ LIMIT_OF_BODIES_PERCENT = 3.0
 PERCENTILES = (5, 50, 95)
 FILES = Path(__file__).resolve().parents[1] / "src/cabinpose/scene/body/assets/populations"
 SEED = 36
+BMI_EDGES = (0, 20, 25, 30, 35, 40, 45)
 # Means of ANSUR II (NATICK/TR-15/007), chest at the nipples, waist at the navel, buttocks, thigh and calf at their largest.
 GIRTHS_MM = {
     "male": {"chest": 1058.7, "waist": 940.6, "buttocks": 1019.5, "thigh": 625.1, "calf": 392.3},
@@ -324,6 +332,40 @@ def hips(scale: float) -> Iterator[list[str]]:
             yield [f"{low:.1f} to {low + 0.1:.1f}", str(len(chosen)), f"{chosen.mean():.0f}", f"{chosen.std():.1f}"]
 
 
+def drivers(scale: float) -> Iterator[list[str]]:
+    """How well drivers of all sizes find a pose."""
+    yield ["body mass index", "drivers", "without a pose", "poses that hold, %", "seat ahead of its design position, mm"]
+    people = {"subjects": [], "random": {"count": 2000, "population": "nhanes"}}
+    scene = {"cars": ["sedan", "suv"], "occupancy": {}, "occupants": {"driver": {}}}
+    config = SynthConfig.parse({"people": people, "scene": scene})
+    scenes = CarScenes(config.scene, config, Plan(config, SEED))
+    found: dict[int, list[tuple[int, bool, float]]] = {}
+    for index in range(int(1000 * scale) or 1):
+        generator, attempts = frame_rng(SEED, index), Attempts()
+        cast = scenes.furnished_cast(index, attempts, rng=generator)
+        if cast is None or (size := cast.people["driver"].phenotype.size) is None:
+            continue
+        posed = scenes.posing.pose(
+            cast,
+            partial(scenes.posing.goals, cast, index=index, rng=generator),
+            lambda _slot, _pose, _body, seated: (None, seated),
+            attempts,
+        )
+        low = max(edge for edge in BMI_EDGES if edge <= size.mass_kg / size.stature_m**2)
+        found.setdefault(low, []).append((attempts.proposals, posed is not None, 1e3 * cast.settings["driver"].fore_aft_m))
+    for low, high in zip(BMI_EDGES, (*BMI_EDGES[1:], None), strict=True):
+        if low in found:
+            draws, held, ahead = np.array(found[low]).T
+            name = f"{low} and more" if high is None else f"{low} to {high}"
+            yield [
+                name,
+                str(len(held)),
+                f"{(1 - held).sum():.0f}",
+                f"{100 * held.sum() / draws.sum():.0f}",
+                f"{ahead.mean():.0f}",
+            ]
+
+
 TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "draws": draws,
     "bands": draws_by_band,
@@ -336,6 +378,7 @@ TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "joints": joints,
     "child joints": child_joints,
     "hips": hips,
+    "drivers": drivers,
 }
 
 

@@ -16,6 +16,7 @@ from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.hands import LimbTask, palm_frame
 from cabinpose.synth.posture.places import CARRY, EITHER, PLACES, TAKE, THIGH, Hand, HandPlace, Reach
 from cabinpose.synth.posture.sampling import sample_pose
+from cabinpose.synth.posture.seating import choose_setting
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,23 @@ def test_hands_that_reach_nothing_are_in_the_lap(person: Person) -> None:
     for name in ("reach", "give", "take"):
         hand = Hand(PLACES[name], (0.0, 0.0, 0.0), 0.0, None, np.full(6, 0.1))
         np.testing.assert_array_equal(PLACES[name].task(trunk, hand, 0).target, THIGH.task(trunk, hand, 0).target)
+
+
+@pytest.mark.parametrize("name", ["S01", "S04", "S08"])
+def test_a_drivers_hands_rest_before_the_wheel(name: str) -> None:
+    """The fingertips of a hand on the thigh end on this side of the rim's lowest point, under which a hand has no room."""
+    person, cabin = BodyModel.load().person(*SUBJECTS[name]), build_cabin("sedan")
+    setting = choose_setting(person, cabin.seats["driver"], cabin, rng=None)
+    seated = SeatContext(person, cabin.seats["driver"], setting, cabin)
+    q, root = seated.fit.q.copy(), seated.vehicle_from_root(0.0)
+    trunk = Trunk(seated, q, root, frames(q, person.rest, root))
+    assert cabin.steering_wheel is not None
+    rim = cabin.steering_wheel.grip_point(np.pi)[0]
+    for side in (0, 1):
+        for along in (-2.0, 0.0, 2.0):
+            noise = (along, 0.0, 0.0)
+            target = THIGH.task(trunk, Hand(THIGH, noise, 0.0, None, THIGH.fingers(noise, 0.3)), side).target
+            assert target[0, 3] + 0.095 * person.stature_m / 1.75 * np.cos(0.45) < rim
 
 
 class _OnHead(HandPlace):

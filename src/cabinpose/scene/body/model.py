@@ -65,7 +65,7 @@ class Person:
 
     @cached_property
     def segment_lengths(self) -> MappingProxyType[str, float]:
-        """Joint to joint, m: upper_arm, forearm, hand (wrist to third knuckle), thigh, shin; of the left side."""
+        """Joint to joint, m: upper_arm, forearm, thigh, shin; of the left side."""
         o = self.rest.offsets
         length = {
             name: rp.norm(o[BONE_INDEX[child]])

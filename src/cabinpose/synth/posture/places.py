@@ -16,7 +16,7 @@ import numpy as np
 from cabinpose.core import Floats, Floats32, Matrix, axis_rotation, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
-from cabinpose.scene.cabin import Cabin, Seat
+from cabinpose.scene.cabin import Cabin, Seat, SteeringWheel
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.context import SeatContext, Trunk
 from cabinpose.synth.posture.hands import Fingers, LimbTask
@@ -29,10 +29,12 @@ _BESIDE_DOOR_M = 0.04  # of a palm's middle from the door's armrest point, for h
 _OVER_ARMREST_M = 0.020
 _ARM_BEFORE = np.array((0.12, 0.03))  # along the thigh and inwards: a hand that brings its arm before the body, beside neighbours
 _PHONE_M = 0.048  # from the ear to the palm that holds one to it, with what the hand needs
+_ADULT_M = 1.75
 _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
 _OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
 _REACHED_SIGMA_M = 0.012
+_BEHIND_RIM_M, _LEAST_ALONG = 0.01, 0.5  # fingertips that end before the wheel's rim; share of the thigh
 
 
 class Reach(NamedTuple):
@@ -192,8 +194,19 @@ class _Thigh(HandPlace):
         a, b, c = hand.noise
         before = _ARM_BEFORE if trunk.seated.neighbours.close[side] else 0.0
         along, inward = before + np.array((0.69 + 0.06 * a, 0.015 + 0.015 * b))
+        if trunk.seated.wheel is not None:
+            along = min(along, max(self._behind_rim(trunk, trunk.seated.wheel, side), _LEAST_ALONG) + 0.03 * (a - 2.0))
         lies = at.lying(trunk.seated.person, hand.fingers)
         return at.on_thigh(trunk, side, float(along), float(inward), 0.45 + 0.15 * c, lies)
+
+    def _behind_rim(self, trunk: Trunk, wheel: SteeringWheel, side: int) -> float:
+        """The share of the thigh at which the fingertips end before the wheel's rim."""
+        thigh, person = trunk.skeleton.bone("lr"[side] + "thigh"), trunk.seated.person
+        ahead = rp.matmul(wheel.grip_point(math.pi) - thigh[:3, 3], trunk.seated.forward) - _BEHIND_RIM_M
+        hand = at.HAND_M * person.stature_m / _ADULT_M
+        return (float(ahead) - hand) / (
+            person.segment_lengths["thigh"] * max(-rp.matmul(thigh[:3, 2], trunk.seated.forward), 0.5)
+        )
 
 
 class _Armrest(HandPlace):
