@@ -334,7 +334,7 @@ def hips(scale: float) -> Iterator[list[str]]:
 
 def drivers(scale: float) -> Iterator[list[str]]:
     """How well drivers of all sizes find a pose."""
-    yield ["body mass index", "drivers", "without a pose", "poses that hold, %", "seat ahead of its design position, mm"]
+    yield ["body mass index", "drivers", "without a pose", "poses that hold", "seat ahead of its design position, mm"]
     people = {"subjects": [], "random": {"count": 2000, "population": "nhanes"}}
     scene = {"cars": ["sedan", "suv"], "occupancy": {}, "occupants": {"driver": {}}}
     config = SynthConfig.parse({"people": people, "scene": scene})
@@ -361,7 +361,7 @@ def drivers(scale: float) -> Iterator[list[str]]:
                 name,
                 str(len(held)),
                 f"{(1 - held).sum():.0f}",
-                f"{100 * held.sum() / draws.sum():.0f}",
+                f"{100 * held.sum() / draws.sum():.0f} %",
                 f"{ahead.mean():.0f}",
             ]
 
