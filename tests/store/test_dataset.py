@@ -22,8 +22,9 @@ from zarr.storage import MemoryStore
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.store import Manifest, PartWriter, create_dataset, open_dataset, points_m, read_manifest
-from cabinpose.store.schema import DEPTH_SCALE_M, VARIABLE, PartPlan, PartPlans, manifest_yaml, with_checksum_line
+from cabinpose.store.schema import PartPlan, PartPlans, manifest_yaml, with_checksum_line
 from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL, depth_ticks
+from cabinpose.store.variables import DEPTH_SCALE_M, VARIABLE
 from cabinpose.store.zarr_metadata import zarr_arrays
 
 

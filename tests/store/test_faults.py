@@ -170,7 +170,7 @@ def test_resume_refuses_a_damaged_part(spheres: ModuleType, dataset_folder: Path
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("schema_version: 1", "schema_version: 2", "has schema version 2, this program reads version 1"),
+        ("schema_version: 2", "schema_version: 3", "has schema version 3, this program reads versions 1 and 2"),
         ("schema: cabinpose-dataset", "schema: other", "is not the manifest of a dataset"),
         ("frames: 5", "frames: five", "frames: must be a whole number, not 'five'"),
         ("seed: 7", "seed: 7\nsede: 8", "sede: unknown key"),

@@ -18,8 +18,8 @@ from cabinpose.app.studio.workspace import open_workspace
 from cabinpose.core.pose import Visibility
 from cabinpose.store import open_dataset, read_manifest
 from cabinpose.store.labels import read_labels
-from cabinpose.store.schema import DEPTH_SCALE_M
 from cabinpose.store.source import Source, blank_frame, import_source
+from cabinpose.store.variables import DEPTH_SCALE_M
 
 SUIT = ("rwrist", "lwrist", "hip", "rpelvis", "lpelvis")
 

@@ -36,7 +36,8 @@ from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.store import create_dataset, open_dataset, points_m, read_manifest
 from cabinpose.store.predictions import Predictions, empty_batch
-from cabinpose.store.schema import DEPTH_SCALE_M, MANIFEST_NAME, manifest_yaml, with_checksum_line
+from cabinpose.store.schema import MANIFEST_NAME, manifest_yaml, with_checksum_line
+from cabinpose.store.variables import DEPTH_SCALE_M
 
 SHIFT_CM = (3.0, 9.0, 1.0, 27.0, 6.0, 12.0)  # by which all joints of a frame are off
 

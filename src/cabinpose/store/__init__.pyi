@@ -46,14 +46,10 @@ from .query import completions as completions
 from .query import frames_where as frames_where
 from .query import query_columns as query_columns
 from .schema import CHECKSUM_PREFIX as CHECKSUM_PREFIX
-from .schema import DEPTH_SCALE_M as DEPTH_SCALE_M
 from .schema import MANIFEST_NAME as MANIFEST_NAME
-from .schema import OPTIONAL as OPTIONAL
 from .schema import Manifest as Manifest
 from .schema import PartPlan as PartPlan
 from .schema import dataset_id as dataset_id
-from .schema import joint_dimension as joint_dimension
-from .schema import joints_variable as joints_variable
 from .schema import read_manifest as read_manifest
 from .shard import ticks_of_steps as ticks_of_steps
 from .source import UNKNOWN as UNKNOWN
@@ -61,6 +57,7 @@ from .source import Source as Source
 from .source import blank_frame as blank_frame
 from .source import check_new_dataset as check_new_dataset
 from .source import import_source as import_source
+from .source import visible_boxes as visible_boxes
 from .split import COORDINATES as COORDINATES
 from .split import Selection as Selection
 from .split import Splits as Splits
@@ -81,5 +78,14 @@ from .strokes import Colour as Colour
 from .strokes import Image as Image
 from .strokes import Strokes as Strokes
 from .strokes import text as text
+from .upgrade import missing_variables as missing_variables
+from .upgrade import upgrade_dataset as upgrade_dataset
+from .variables import AXES as AXES
+from .variables import BELT_OF_1 as BELT_OF_1
+from .variables import DEPTH_SCALE_M as DEPTH_SCALE_M
+from .variables import OPTIONAL as OPTIONAL
+from .variables import STATES as STATES
+from .variables import joint_dimension as joint_dimension
+from .variables import joints_variable as joints_variable
 from .yaml_file import read_mapping as read_mapping
 from .yaml_file import validated as validated

@@ -99,7 +99,7 @@ def create_dataset(
         name = told or path
         raise DatasetError(f"cannot use {name} as a folder: {error.strerror}", hint="give another output folder") from error
     try:
-        _prepare(path, manifest, overwrite=overwrite, resume=resume)
+        manifest = _prepare(path, manifest, overwrite=overwrite, resume=resume)
         new = not (path / MANIFEST_NAME).exists()
         writer = DatasetWriter(path, manifest, held, new=new, made=made)
         check_parts(path, writer.complete(), manifest)
@@ -113,16 +113,18 @@ def create_dataset(
     return writer
 
 
-def _prepare(path: Path, manifest: Manifest, *, overwrite: bool, resume: bool) -> None:
-    """Make sure that what the folder holds may be gone on with, or remove it where the user said so."""
+def _prepare(path: Path, manifest: Manifest, *, overwrite: bool, resume: bool) -> Manifest:
+    """Make sure that what the folder holds may be gone on with, or remove it where the user said so; the manifest to write."""
     if not (path / MANIFEST_NAME).exists():
         _remove_temporary(path)
         if any(path.iterdir()):
             raise DatasetError(f"{path} is not empty and holds no dataset", hint="give a new or empty folder with --out")
-        return
+        return manifest
     old = read_manifest(path)
     if resume:
         _check_same(path, old, manifest)
+        if manifest.frames == old.frames:  # else predictions are of other frames
+            manifest = manifest.model_copy(update={"upgraded_from": old.upgraded_from})
         last = old.parts[-1]
         if manifest.frames > old.frames and last.frames < old.frames_per_part and (path / last.name).exists():
             shutil.rmtree(path / last.name)  # it is made again, the same frames and more
@@ -135,6 +137,7 @@ def _prepare(path: Path, manifest: Manifest, *, overwrite: bool, resume: bool) -
             hint="--resume goes on with it, --overwrite replaces it, or give another folder with --out",
         )
     _remove_temporary(path)
+    return manifest
 
 
 def _remove_temporary(path: Path) -> None:
@@ -143,7 +146,12 @@ def _remove_temporary(path: Path) -> None:
 
 
 def _check_same(path: Path, old: Manifest, new: Manifest) -> None:
-    before, now = (_flat(m.model_dump(mode="json", exclude={"frames"})) for m in (old, new))
+    before, now = (_flat(m.model_dump(mode="json", exclude={"frames", "upgraded_from"})) for m in (old, new))
+    if old.schema_version != new.schema_version:
+        raise DatasetError(
+            f"{path} is of version {old.schema_version} of the standard, what is made now of version {new.schema_version}",
+            hint=f"first `cabinpose upgrade {path}`, which adds what can be known of its frames",
+        )
     differing = [key for key in before | now if before.get(key, "(absent)") != now.get(key, "(absent)")]
     if differing:
         lines = [f"{key}: {before.get(key, '(absent)')!r} there, {now.get(key, '(absent)')!r} now" for key in differing[:5]]

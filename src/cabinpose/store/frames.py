@@ -24,7 +24,7 @@ from cabinpose.core import (
     camera_from,
     skeleton_with,
 )
-from cabinpose.store.schema import joint_dimension
+from cabinpose.store.variables import joint_dimension
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -26,8 +26,8 @@ from cabinpose.core import (
     known_camera,
     units_that_fit,
 )
-from cabinpose.store.schema import joint_dimension, joints_variable
 from cabinpose.store.source import UNKNOWN
+from cabinpose.store.variables import joint_dimension, joints_variable
 
 if TYPE_CHECKING:
     import xarray as xr

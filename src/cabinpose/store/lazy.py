@@ -21,8 +21,9 @@ from xarray.core import indexing
 
 from cabinpose.core import DatasetError, camera_from, known_camera
 from cabinpose.store.part_facts import PartFacts, check_parts
-from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, Variable, dataset_id, read_manifest, variable_attributes
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, dataset_id, read_manifest, variable_attributes
 from cabinpose.store.shard import read_frames, read_whole
+from cabinpose.store.variables import AXES, BELT_OF_1, Variable
 from cabinpose.store.zarr_metadata import dimension_labels
 
 
@@ -75,9 +76,9 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
     coordinates: dict[str, Any] = {
         "frame": np.concatenate([_indices(plan, part) for plan, part in zip(plans, facts, strict=True)]),
         **{name: list(labels) for name, labels in dimension_labels(manifest).items()},
-        "xyz": ["x", "y", "z"],
-        "uv": ["u", "v"],
     }
+    dims = {dim for v in manifest.stored for dim in v.dims}
+    coordinates |= {axis: list(names) for axis, names in AXES.items() if axis in dims}
     dataset = xr.Dataset(variables, coordinates, _dataset_attributes(manifest, facts))
     dataset.encoding["source"] = str(path)  # as xarray's own readers note it
     _check_cameras(path, variables, manifest)
@@ -185,6 +186,8 @@ class PartsArray(BackendArray):
             ) from error
 
     def _decoded(self, raw: NDArray[Any]) -> NDArray[Any]:
+        if self._variable.name == "belt":  # version 1 has other names
+            return np.vectorize(lambda state: BELT_OF_1.get(state, state), otypes=[object])(raw)
         if self._variable.scale is not None:
             metres: NDArray[np.float32] = _metres(self._variable.scale)[raw]
             return metres

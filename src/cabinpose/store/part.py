@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cabinpose.core import FULL_DISK, DatasetError, output_errors
-from cabinpose.store.schema import SCHEMA, SCHEMA_VERSION, Manifest, PartPlan, Variable
+from cabinpose.store.schema import SCHEMA, Manifest, PartPlan
 from cabinpose.store.shard import CRC_BYTES, ShardWriter, compressed, compressed_column, depth_ticks
+from cabinpose.store.variables import Variable
 from cabinpose.store.zarr_metadata import array_json, dimension_labels, group_json, zarr_arrays
 
 _SUFFIX = ".tmp"
@@ -56,15 +57,18 @@ class EncodedFrame(NamedTuple):
 def encode_frame(frame: Mapping[str, Any], index: int, manifest: Manifest) -> EncodedFrame:
     """Check and compress frame `index`, as `PartWriter.append` takes it: the same bytes in whatever thread this is done.
 
-    Raises `DatasetError` for a missing, unknown or unfit variable.
+    What is known of people and seats may be left out, and is missing then. Raises `DatasetError` for another missing variable, an
+    unknown or an unfit one.
     """
     names = {v.name for v in manifest.stored}
-    if frame.keys() != names:
-        missing, unknown = sorted(names - frame.keys()), sorted(frame.keys() - names)
+    missing = sorted({v.name for v in manifest.stored if not v.may_be_left_out} - frame.keys())
+    if missing or frame.keys() - names:
+        unknown = sorted(frame.keys() - names)
         raise DatasetError(f"frame {index}: missing variables {missing}, unknown variables {unknown}")
     encoded = EncodedFrame({}, {})
     for variable in manifest.stored:
-        value = _checked(variable, frame[variable.name], index, manifest.frame_shape(variable))
+        shape = manifest.frame_shape(variable)
+        value = _checked(variable, frame.get(variable.name, variable.missing(shape)), index, shape)
         if variable.is_image:
             encoded.images[variable.name] = compressed(value)
         else:
@@ -207,7 +211,7 @@ class PartWriter:
         return {
             "checksum": "",  # of the whole text, by `group_json`
             "schema": SCHEMA,
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": manifest.schema_version,
             "generator": manifest.generator,
             "generator_version": manifest.generator_version,
             "seed": manifest.seed,

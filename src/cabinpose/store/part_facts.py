@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from cabinpose.core import DatasetError
-from cabinpose.store.schema import MANIFEST_NAME, SCHEMA_VERSION, Manifest, PartPlan, checksum
+from cabinpose.store.schema import MANIFEST_NAME, Manifest, PartPlan, check_version, checksum
 from cabinpose.store.shard import check_last_chunks, file_bytes, read_whole
 from cabinpose.store.zarr_metadata import ZarrArray, describes, dimension_labels, zarr_arrays
 
@@ -140,12 +140,7 @@ def _read(path: Path, hint: str) -> tuple[PartFacts, dict[str, Any]]:
     try:
         text = (path / "zarr.json").read_text(encoding="utf-8")
         group = json.loads(text)
-        version = group["attributes"]["schema_version"]
-        if version != SCHEMA_VERSION:
-            raise DatasetError(
-                f"{path.name} has schema version {version}, this program reads version {SCHEMA_VERSION}",
-                hint="read it with the version of cabinpose that wrote it, or upgrade cabinpose",
-            )
+        check_version(group["attributes"]["schema_version"], path.name)
         facts = PartFacts.model_validate(group["attributes"])
         arrays: dict[str, Any] = dict(group["consolidated_metadata"]["metadata"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:

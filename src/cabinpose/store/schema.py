@@ -1,7 +1,7 @@
-"""The dataset standard, version 1: variables, their encoding on disk, and the manifest `dataset.yaml`.
+"""The dataset standard, version 2: the manifest `dataset.yaml`; `variables` has what a frame consists of.
 
 The manifest says what a folder holds and how it was made; the parts beside it hold the frames. Both carry the
-schema version, and a reader refuses a version that it does not know.
+schema version: 1 is read as it was written, 2 is written, and what is unknown is refused.
 
 The last line of the manifest is the checksum of the lines before it. Datasets made before there was one are read as well.
 """
@@ -22,20 +22,11 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from cabinpose.core import (
-    CABINPOSE,
-    JOINTS,
-    OCCUPANT_SLOTS,
-    OTHER_SKELETONS,
-    DatasetError,
-    Visibility,
-    explained,
-    left_before,
-    parse_yaml,
-)
+from cabinpose.core import JOINTS, OCCUPANT_SLOTS, OTHER_SKELETONS, DatasetError, explained, left_before, parse_yaml
+from cabinpose.store.variables import AXES, DEFAULT_VARIABLES, SCHEMA_VERSION, VARIABLES, Variable, joint_dimension
 
 SCHEMA: Final = "cabinpose-dataset"
-SCHEMA_VERSION: Final = 1
+READABLE: Final = (1, SCHEMA_VERSION)  # versions
 MANIFEST_NAME = "dataset.yaml"
 _MOST_NAMES: Final = 1000  # of persons, and of joints
 MOST_LISTED_PARTS: Final = 100_000  # in dataset.yaml; of more it states their number
@@ -43,124 +34,6 @@ _PART = re.compile(r"part-(\d{5}|[1-9]\d{5,})\.zarr")
 CHECKSUM_PREFIX: Final = "sha256:"
 _CONTENT: Final = "content"  # in the configuration of an import
 SELECTION: Final = "selection"  # in the configuration of frames that were chosen of another dataset
-DEPTH_SCALE_M = 1e-4  # metres in one tick of a stored depth
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One variable of the standard: its dimensions, type on disk and meaning.
-
-    Images are stored one frame a chunk in shards, everything else one chunk a part.
-    """
-
-    name: str
-    dims: tuple[str, ...]
-    dtype: str  # numpy name, or "str"
-    meaning: str
-    units: str | None = None
-    scale: float | None = None  # stored integer times scale = value, 0 = invalid
-    coordinate: bool = False
-    default: bool = True
-
-    @property
-    def is_image(self) -> bool:
-        return "y" in self.dims
-
-
-_IMAGE = ("frame", "y", "x")
-_STATES = ", ".join(f"{state.value} {state.name.lower().replace('_', ' ')}" for state in Visibility)
-
-
-def _depth(name: str, meaning: str, *, default: bool = True) -> Variable:
-    return Variable(name, _IMAGE, "uint16", f"depth along the optical axis, {meaning}", "m", DEPTH_SCALE_M, default=default)
-
-
-def joints_variable(skeleton: str) -> str:
-    """The variable that holds the joints of a set: the standard's own, or one for each other set."""
-    return "joints_3d" if skeleton == CABINPOSE.name else f"{skeleton}_joints_3d"
-
-
-def joint_dimension(skeleton: str) -> str:
-    """The dimension along which they lie there."""
-    return "joint" if skeleton == CABINPOSE.name else f"{skeleton}_joint"
-
-
-VARIABLES: tuple[Variable, ...] = (
-    _depth("depth", "as the sensor delivers it"),
-    _depth("depth_clean", "of the geometry"),
-    _depth("depth_styled", "style-transferred", default=False),
-    Variable("amplitude", _IMAGE, "uint16", "amplitude of the active infrared light"),
-    Variable("confidence", _IMAGE, "uint8", "the sensor's confidence"),
-    Variable("noise", _IMAGE, "uint16", "the sensor's own sigma of its depth, 0 = unknown", "um", default=False),
-    Variable("balance", _IMAGE, "uint16", "balance image of Bluetechnix' kits, in the camera's unit", default=False),
-    Variable("labels", _IMAGE, "uint8", "class of the pixel"),
-    Variable("instance", _IMAGE, "uint8", "0 = nobody, else 1 + position of the person"),
-    Variable("rgb", (*_IMAGE, "channel"), "uint8", "colour image, sRGB", default=False),
-    Variable("nir", _IMAGE, "uint16", "near-infrared image: electrons by active and ambient light", default=False),
-    Variable("joints_3d", ("frame", "person", "joint", "xyz"), "float32", "joints in the camera frame", "m"),
-    Variable("joints_2d", ("frame", "person", "joint", "uv"), "float32", "projection of joints_3d", "px"),
-    Variable("visibility", ("frame", "person", "joint"), "uint8", f"state of the joint: {_STATES}"),
-    *(
-        Variable(
-            joints_variable(each.name), ("frame", "person", joint_dimension(each.name), "xyz"), "float32",
-            f"{each.title}'s joints in the camera frame (OpenCV axes)", "m", default=False,
-        )
-        for each in OTHER_SKELETONS
-    ),
-    Variable(
-        "head_residual", ("frame", "person"), "float32", "angle between the heads of suit and optical system", "rad",
-        default=False,
-    ),
-    Variable(
-        "gaze", ("frame", "person", "xyz"), "float32", "unit vector of the line of sight, vehicle frame; NaN = none",
-        default=False
-    ),
-    Variable(
-        "vehicle_from_head", ("frame", "person", "row", "column"), "float64",
-        "head pose: x to the front of the face, y left, origin at C1 (m)", default=False,
-    ),
-    Variable("camera_k", ("frame", "k_row", "k_column"), "float64", "matrix of intrinsics", "px"),
-    Variable("camera_dist", ("frame", "dist_coefficient"), "float64", "distortion k1 k2 p1 p2 k3 (OpenCV)"),
-    Variable("vehicle_from_camera", ("frame", "row", "column"), "float64", "extrinsics; translation in metres"),
-    Variable("sync_ns", ("frame",), "int64", "time on the common clock", "ns", coordinate=True),
-    Variable("sequence", ("frame",), "int64", "sequence that the frame belongs to", coordinate=True),
-    Variable("seed", ("frame",), "int64", "seed of the frame's generator, beside the frame's index", coordinate=True),
-    Variable("subject", ("frame", "person"), "str", "who it is; empty = nobody in this place", coordinate=True),
-    Variable("action", ("frame", "person"), "str", "what the person does; empty = nobody in this place", coordinate=True),
-    Variable(
-        "things", ("frame", "person"), "str", "what is brought along in this place: child seats and objects, divided by commas",
-        coordinate=True, default=False,
-    ),
-    Variable(
-        "belt", ("frame", "person"), "str", "worn, behind_back, under_arm, harness, none; empty = nobody in this place",
-        coordinate=True, default=False,
-    ),
-    Variable("child", ("frame", "person"), "uint8", "1 = somebody of less than twelve years", coordinate=True, default=False),
-    Variable("child_seat", ("frame", "person"), "str", "empty, taken; nothing = there is none", coordinate=True, default=False),
-    Variable(
-        "attachment", ("frame", "person"), "str", "what holds the child seat: isofix, belt; nothing = it is not said",
-        coordinate=True, default=False,
-    ),
-    Variable(
-        "gaze_target", ("frame", "person"), "str", "what the line of sight meets first; empty = nobody in this place",
-        coordinate=True, default=False,
-    ),
-    Variable("car", ("frame",), "str", "the cabin or room", coordinate=True),
-    Variable("drive_side", ("frame",), "str", "where the wheel is: left, right; empty = there is none, or it is not known",
-             coordinate=True, default=False),
-    Variable("pov", ("frame",), "str", "the camera's place", coordinate=True),
-    Variable("light", ("frame",), "str", "the light of rgb and nir", coordinate=True, default=False),
-    Variable("renderer", ("frame",), "str", "what made rgb and nir", coordinate=True, default=False),
-    Variable("style", ("frame",), "str", "the style of depth_styled, or that the depth was left as it was", coordinate=True,
-             default=False),
-    Variable("style_edge_px", ("frame",), "float32", "styling moved 95 of 100 depth edges at labels' borders no farther", "px",
-             default=False),
-    Variable("style_part_mm", ("frame",), "float32", "the most that styling moved the mean depth of a part", "mm", default=False),
-    Variable("style_lost", ("frame",), "float32", "share of the valid pixels that styling made invalid", default=False),
-)  # fmt: skip
-VARIABLE = {variable.name: variable for variable in VARIABLES}
-OPTIONAL = tuple(v.name for v in VARIABLES if v.is_image or not v.default)  # a manifest chooses among these
-DEFAULT_VARIABLES = tuple(v.name for v in VARIABLES if v.is_image and v.default)
 
 
 def _is_none(value: object) -> bool:
@@ -236,7 +109,7 @@ class Manifest(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     schema_name: Literal["cabinpose-dataset"] = Field(default=SCHEMA, alias="schema")
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[1, 2] = SCHEMA_VERSION
     generator: str
     generator_version: str
     seed: int
@@ -253,13 +126,16 @@ class Manifest(BaseModel):
     labels: tuple[LabelRow, ...] = ()
     materials: tuple[dict[str, Any], ...] = ()
     config: dict[str, Any] = Field(default_factory=dict)
+    # The id of the dataset of version 1 that it was, which predictions and labels go on naming it by.
+    upgraded_from: Annotated[str, Field(max_length=_MOST_NAMES, exclude_if=operator.not_)] = ""
     checksum: str | None = Field(default=None, exclude=True)
 
     @model_validator(mode="after")
     def _check_names(self) -> Manifest:
-        unknown = sorted(set(self.variables) - set(OPTIONAL))
+        known = [each.name for each in VARIABLES if each.named(self.schema_version)]
+        unknown = sorted(set(self.variables) - set(known))
         if unknown:
-            raise ValueError(f"unknown variables: {', '.join(unknown)} (known: {', '.join(OPTIONAL)})")
+            raise ValueError(f"unknown variables: {', '.join(unknown)} (known: {', '.join(known)})")
         for what in ("persons", "joints", "variables"):
             names = getattr(self, what)
             if len(set(names)) != len(names):
@@ -275,11 +151,7 @@ class Manifest(BaseModel):
         """The manifest that `data` (read from `source`) describes; `DatasetError` if it is none, or of another version."""
         if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
             raise DatasetError(f"{source} is not the manifest of a dataset", hint=f"it should say `schema: {SCHEMA}`")
-        if data.get("schema_version") != SCHEMA_VERSION:
-            raise DatasetError(
-                f"{source} has schema version {data.get('schema_version')}, this program reads version {SCHEMA_VERSION}",
-                hint="read it with the version of cabinpose that wrote it, or upgrade cabinpose",
-            )
+        check_version(data.get("schema_version"), source)
         values = {key: value for key, value in data.items() if key != "parts"}
         try:
             manifest = cls.model_validate(values)
@@ -310,11 +182,14 @@ class Manifest(BaseModel):
     def parts_belong_to(self) -> str:
         """What each part names its dataset by: a checksum of the manifest without what may change while the parts stay the same.
 
-        That is the number of frames, which `--resume` raises, the licence, and the content of an import, which is known when its
-        parts are written. A field that is added to the manifest has to be left out where it has its default, or the parts of
-        older datasets are taken for another dataset's.
+        That is the number of frames, which `--resume` raises, the licence, what it was upgraded from, and the content of an
+        import, which is known when its parts are written. A field that is added to the manifest has to be left out where it has
+        its default, or the parts of older datasets are taken for another dataset's.
         """
-        data = self.model_dump(mode="json", by_alias=True, exclude={"frames": True, "licence": True, "config": {_CONTENT}})
+        data = self.model_dump(
+            mode="json", by_alias=True,
+            exclude={"frames": True, "licence": True, "upgraded_from": True, "config": {_CONTENT}},
+        )  # fmt: skip
         return checksum(json.dumps(data, sort_keys=True))
 
     @property
@@ -361,7 +236,7 @@ class Manifest(BaseModel):
     @cached_property
     def stored(self) -> tuple[Variable, ...]:
         """The variables that every frame of this dataset has, in the standard's order."""
-        return tuple(v for v in VARIABLES if v.name not in OPTIONAL or v.name in self.variables)
+        return tuple(v for v in VARIABLES if v.stored(self.schema_version) or v.name in self.variables)
 
     def frame_shape(self, variable: Variable) -> tuple[int, ...]:
         """Shape of one frame of a variable."""
@@ -371,8 +246,18 @@ class Manifest(BaseModel):
     def _sizes(self) -> dict[str, int]:
         return {
             "y": self.height, "x": self.width, "channel": 3, "person": len(self.persons), "joint": len(self.joints),
-            "xyz": 3, "uv": 2, "k_row": 3, "k_column": 3, "dist_coefficient": 5, "row": 4, "column": 4,
+            "k_row": 3, "k_column": 3, "dist_coefficient": 5, "row": 4, "column": 4,
+            **{axis: len(names) for axis, names in AXES.items()},
         } | {joint_dimension(each.name): len(each.joints) for each in OTHER_SKELETONS}  # fmt: skip
+
+
+def check_version(found: object, source: Path | str) -> None:
+    """Raise `DatasetError` for a version of the standard that this program does not read."""
+    if found not in READABLE:
+        raise DatasetError(
+            f"{source} has schema version {found}, this program reads versions {' and '.join(map(str, READABLE))}",
+            hint="read it with the version of cabinpose that wrote it, or upgrade cabinpose",
+        )
 
 
 def label_attributes(manifest: Manifest) -> dict[str, Any]:
@@ -419,8 +304,8 @@ def checksum(text: str) -> str:
 
 
 def dataset_id(manifest: Manifest) -> str:
-    """What predictions and labels name their dataset by: the checksum of `dataset.yaml`."""
-    return checksum(manifest_yaml(manifest))
+    """What predictions and labels name their dataset by: the checksum of `dataset.yaml`, before it was upgraded."""
+    return manifest.upgraded_from or checksum(manifest_yaml(manifest))
 
 
 def with_checksum_line(text: str) -> str:

@@ -18,7 +18,7 @@ import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.store.schema import DEPTH_SCALE_M
+from cabinpose.store.variables import DEPTH_SCALE_M
 
 FRAMES_PER_SHARD = 100
 LEVEL = 5

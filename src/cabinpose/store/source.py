@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cabinpose.core import DatasetError, known_camera, output_errors, whole_folder
 from cabinpose.store.dataset import create_dataset, write_manifest
 from cabinpose.store.part import PartWriter
 from cabinpose.store.schema import MANIFEST_NAME, Manifest
+from cabinpose.store.variables import FIRST_OF_WORLD
 
 UNKNOWN = "unknown"
 Report = Callable[[int], None]  # called with the number of frames done
@@ -46,10 +48,27 @@ def blank_frame(manifest: Manifest) -> dict[str, Any]:
         if variable.is_image:
             continue
         if variable.dtype == "str":
-            frame[variable.name] = [""] * shape[0] if shape else UNKNOWN
+            frame[variable.name] = variable.missing(shape) if shape else UNKNOWN
         else:
-            frame[variable.name] = np.full(shape, np.nan if variable.dtype.startswith("float") else 0, variable.dtype)
+            frame[variable.name] = variable.missing(shape)
     return frame
+
+
+def visible_box(seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(4,) px, `box_2d` of the dataset standard: the least and greatest u, v of the pixels (H, W) that are seen; NaN of none."""
+    across, down = np.flatnonzero(seen.any(axis=0)), np.flatnonzero(seen.any(axis=1))
+    if not len(across):
+        return np.full(4, np.nan, np.float32)
+    return np.array((across[0], down[0], across[-1], down[-1]), np.float32)
+
+
+def visible_boxes(labels: NDArray[np.uint8] | None, instance: NDArray[np.uint8], persons: int) -> NDArray[np.float32]:
+    """(P, 4) px, `box_2d` of everybody in images (H, W); things in the hand are no part of who holds them."""
+    people = instance if labels is None else np.where(labels < FIRST_OF_WORLD, instance, 0)
+    there = set(np.unique(people).tolist())
+    return np.stack([
+        visible_box(people == 1 + row) if 1 + row in there else np.full(4, np.nan, np.float32) for row in range(persons)
+    ])  # fmt: skip
 
 
 def import_source(source: Source, out: Path | str, *, overwrite: bool = False, report: Report | None = None) -> Path:
@@ -99,6 +118,8 @@ def fill_dataset(source: Source, folder: Path, told: Path, report: Report | None
                         raise DatasetError(f"{source.path} ended after {done} frames", hint="it changed while it was read")
                     k, dist = frame["camera_k"], frame["camera_dist"]
                     known_camera(k, dist, manifest.width, manifest.height, whose=f"{source.path}: camera_k", error=DatasetError)
+                    if "instance" in frame and "box_2d" in frame and np.isnan(frame["box_2d"]).all():
+                        frame["box_2d"] = visible_boxes(frame.get("labels"), frame["instance"], len(manifest.persons))
                     part.append(frame)
                     done += 1
                     if report is not None:

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import OTHER_SKELETONS
-from cabinpose.store.schema import Manifest, checksum, joint_dimension, joints_variable, variable_attributes
+from cabinpose.store.schema import Manifest, checksum, variable_attributes
 from cabinpose.store.shard import FRAMES_PER_SHARD, LEVEL
+from cabinpose.store.variables import joint_dimension, joints_variable
 
 _FILL: dict[str, float | str] = {"U": "", "f": "NaN", "u": 0, "i": 0}  # by numpy's kind of type
 _CHECKSUM = {"name": "crc32c"}

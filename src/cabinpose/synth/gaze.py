@@ -21,7 +21,7 @@ from cabinpose.synth.posture.gaze import HEAD_SHARE
 from cabinpose.synth.scene import Scene, ScenePerson
 
 GAZE_VARIABLES = ("gaze", "gaze_target", "vehicle_from_head")
-_ASLEEP = "sleep"  # the action in which eyes are closed
+ASLEEP = "sleep"  # the action in which eyes are closed
 _FAR_M = 10.0
 _BODY_M = 0.35  # of a person's surface from the nearest joint, at the most
 _HANDS = [SEGMENTS.index(side + "hand") for side in "lr"]
@@ -39,7 +39,7 @@ def gaze_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
     for person in scene.people:
         row = slots.index(person.slot)
         heads[row] = person.posed.bones[BONE_INDEX["head"]]
-        if person.action == _ASLEEP:
+        if person.action == ASLEEP:
             targets[row] = "nothing"
             continue
         head = heads[row, :3, :3] if person.coming_head is None else person.coming_head

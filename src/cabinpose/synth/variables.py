@@ -16,10 +16,11 @@ from cabinpose.core import ANATOMY, Camera, Floats, Skeleton, apply, invert
 from cabinpose.scene import LABELS, MATERIALS, OF_THINGS, THING_LABELS, ticam_class
 from cabinpose.scene.body import joints_in_body
 from cabinpose.scene.sensor import SensorFrame
-from cabinpose.scene.things import CHILD_SEAT_LABELS, PlacedThing
-from cabinpose.store import OPTIONAL, Manifest, joints_variable
+from cabinpose.store import OPTIONAL, Manifest, joints_variable, visible_boxes
 from cabinpose.synth.config import SynthConfig, person_slots
-from cabinpose.synth.gaze import GAZE_VARIABLES, gaze_labels
+from cabinpose.synth.distances import distance_labels
+from cabinpose.synth.gaze import gaze_labels
+from cabinpose.synth.person_labels import body_labels, box_labels, doing_labels, occupancy_labels
 from cabinpose.synth.render import RenderedFrame
 from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.style.settings import STYLE_VARIABLES
@@ -63,19 +64,10 @@ class FrameFacts:
         found = {person.slot: of(person) for person in self.scene.people}
         return [found.get(slot, nobody) for slot in self.slots]
 
-    def child_seats(self, of: Callable[[PlacedThing], str]) -> list[str]:
-        """(P,) a value of the child seat in each place; "" where there is none."""
-        seats = {t.slot: of(t) for t in self.scene.things if t.at == "seat" and t.thing.label in CHILD_SEAT_LABELS}
-        return [seats.get(slot, "") for slot in self.slots]
-
     def joints(self, skeleton: Skeleton) -> Floats:
         """(P, J, 3) m, the joints of a set in the camera; NaN for places where nobody is."""
         camera_from_world, nobody = invert(self.scene.world_from_camera), np.full((len(skeleton.joints), 3), np.nan)
         return np.stack(self.each(lambda who: apply(camera_from_world, joints_in_body(skeleton, who.posed)), nobody))
-
-    def taken(self, slot: str) -> bool:
-        """Whether somebody is in a place."""
-        return any(person.slot == slot for person in self.scene.people)
 
 
 class Made(NamedTuple):
@@ -93,17 +85,18 @@ def _one(name: str, make: Callable[[FrameFacts], Any], asked: Callable[[SynthCon
     return Made(lambda config: (name,) if asked(config) else (), lambda facts: {name: make(facts)})
 
 
-def _tells_restraints(config: SynthConfig) -> bool:
-    return config.scene.tells_restraints
+def _always(_: SynthConfig) -> Iterable[str]:
+    """Of variables that every dataset has: a manifest does not name them."""
+    return ("",)
+
+
+def _labels(of: Callable[[Scene, tuple[str, ...]], Mapping[str, Any]]) -> Made:
+    """Variables by places, of the scene alone."""
+    return Made(_always, lambda facts: of(facts.scene, facts.slots))
 
 
 def _pictures(config: SynthConfig) -> Iterable[str]:
     return () if config.images is None else (*config.images.variables, "light", "renderer")
-
-
-def _things(facts: FrameFacts) -> list[str]:
-    kinds = [(thing.slot, thing.thing.kind.removesuffix("_in_use")) for thing in facts.scene.things]
-    return [",".join(sorted(kind for at, kind in kinds if at == slot)) for slot in facts.slots]
 
 
 def _micrometres(facts: FrameFacts) -> np.ndarray:
@@ -125,12 +118,13 @@ TABLE: tuple[Made, ...] = (
         lambda config: [joints_variable(each.name) for each in config.skeletons],
         lambda facts: {joints_variable(each.name): facts.joints(each) for each in facts.config.skeletons},
     ),
-    _one("things", _things, lambda config: config.scene.brings_things),
-    _one("belt", lambda facts: facts.each(lambda person: person.belt), _tells_restraints),
-    _one("child", lambda facts: np.array(facts.each(lambda person: person.child, nobody=False), np.uint8), _tells_restraints),
-    _one("child_seat", lambda f: f.child_seats(lambda seat: "taken" if f.taken(seat.slot) else "empty"), _tells_restraints),
-    _one("attachment", lambda facts: facts.child_seats(lambda seat: seat.attachment or ""), _tells_restraints),
-    Made(lambda config: GAZE_VARIABLES if config.output.gaze else (), lambda facts: gaze_labels(facts.scene, facts.slots)),
+    _labels(body_labels),
+    _labels(occupancy_labels),
+    _labels(doing_labels),
+    _labels(gaze_labels),
+    _labels(distance_labels),
+    _labels(box_labels),
+    _one("box_2d", lambda facts: visible_boxes(facts.rendered.labels, facts.rendered.instance, len(facts.slots))),
     _one("joints_3d", lambda facts: facts.joints_3d),
     _one("joints_2d", lambda facts: facts.camera.project(facts.joints_3d)),
     _one("visibility", lambda facts: facts.rendered.visibility),

@@ -65,7 +65,7 @@ def run(command: Info) -> None:
 def _print_dataset(command: Info) -> None:
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.view.summary import summarise
-    from cabinpose.store import open_dataset, read_manifest, warn_of_labels
+    from cabinpose.store import missing_variables, open_dataset, read_manifest, warn_of_labels
 
     manifest = read_manifest(command.dataset)
     dataset = open_dataset(command.dataset, missing="ignore")
@@ -78,10 +78,11 @@ def _print_dataset(command: Info) -> None:
                 report(i + 1)
     warn_of_labels(chosen, str(command.dataset))
     summary = summarise(dataset, manifest, command.dataset, chosen)
+    lacks = missing_variables(manifest)
     unchecked, unbound = dataset.attrs["parts_without_checksum"], dataset.attrs["parts_without_dataset"]
     if command.as_json:
         checks = {"verified": command.verify, "checksum": manifest.checksum, "parts_without_checksum": unchecked}
-        checks["parts_without_dataset"] = unbound
+        checks |= {"parts_without_dataset": unbound, "schema_version": manifest.schema_version, "missing_variables": lacks}
         print_json(dataclasses.asdict(summary) | checks | ({"selection": manifest.selection} if manifest.selection else {}))
         return
     rows = _dataset_rows(summary)
@@ -89,6 +90,9 @@ def _print_dataset(command: Info) -> None:
         by = f", by {told['by']}" if "by" in told else ""
         rows.insert(2, ("chosen of", f"{told['name']} ({told['of']}){by}"))
     print_rows(rows)
+    if lacks:
+        print(f"it is of version {manifest.schema_version} of the standard and lacks {', '.join(lacks)}")
+        print(f"what can be known of them is added by: cabinpose upgrade {command.dataset}")
     if unbound:
         those = f"{unbound} of {summary.parts} parts"
         print(f"{those} were written before parts named their dataset: whether they are of this one is not known")

@@ -1,5 +1,6 @@
 from .chart import load_chart as load_chart
 from .chart import vertex_segments as vertex_segments
+from .dress import worn as worn
 from .joints import OWN_PARTS as OWN_PARTS
 from .joints import joints_in_body as joints_in_body
 from .kinematics import RestArrays as RestArrays

@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import accessories, foot_faces_hidden
-from cabinpose.scene.body.garments import layer
+from cabinpose.scene.body.garments import BOTTOMS, TOPS, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.parts import cut_skin
@@ -91,3 +91,25 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eyes: Floats, out
         np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
         np.concatenate(all_labels), np.concatenate(all_materials), is_top,
     )  # fmt: skip
+
+
+def worn(outfit: Outfit) -> dict[str, tuple[str, str]]:
+    """What is on each place of the axis `worn` of datasets that bodies know of, and its material; "none" and "" without.
+
+    Of the skin there is no word but its material.
+    """
+
+    def place(name: str, material: str) -> tuple[str, str]:
+        return (name, "" if name == "none" else material)
+
+    return {
+        "skin": ("", "skin"),
+        "hair": place("none" if outfit.hair == "bald" else outfit.hair, "hair"),
+        "beard": place("beard" if outfit.beard else "none", "hair"),
+        "top": place(outfit.top, TOPS[outfit.top].material if outfit.top in TOPS else ""),
+        "bottom": place(outfit.bottom, BOTTOMS[outfit.bottom].material if outfit.bottom in BOTTOMS else ""),
+        "shoes": place(outfit.shoes, "leather_shoe" if outfit.shoes == "leather" else "synthetic_fabric"),
+        "headwear": place("cap" if outfit.cap else "none", "cotton"),
+        "glasses": place("clear" if outfit.glasses else "none", "spectacle_lens"),
+        "mask": ("none", ""),
+    }

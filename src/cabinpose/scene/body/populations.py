@@ -172,6 +172,12 @@ class Population:
         person = self._person(band, age, cast("tuple[float, float]", sizes), (0.0, 0.0), np.zeros(len(DIMENSIONS)))
         return Anthropometry(**{**vars(person), "stature_percentile": percentile, "mass_percentile": percentile})
 
+    def percentiles(self, sex: Sex, years: float, stature_m: float, mass_kg: float) -> tuple[float, float]:
+        """Of a stature and a mass among those of a sex and age, 0 to 100. Raises ConfigError for an age that nobody has."""
+        band, _ = self._at(sex, (years, years), np.zeros(2))
+        scores = _score_of(band.stature_m, stature_m), _score_of(band.mass_kg, mass_kg)
+        return 100.0 * _normal_share(scores[0]), 100.0 * _normal_share(scores[1])
+
     def stature_m(self, sex: Sex, years: float) -> tuple[float, float]:
         """Median and standard deviation (half of what is between the 16th and 84th percentiles) of stature at an age, m."""
         band, _ = self._at(sex, (years, years), np.zeros(2))

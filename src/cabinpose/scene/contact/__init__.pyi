@@ -18,5 +18,7 @@ from .solids import SolidTopology as SolidTopology
 from .solids import person_contact as person_contact
 from .solids import self_contact as self_contact
 from .solids import solid_topology as solid_topology
+from .triangles import TriangleMesh as TriangleMesh
 from .triangles import first_crossings as first_crossings
 from .triangles import sampled_surface as sampled_surface
+from .triangles import triangle_mesh as triangle_mesh

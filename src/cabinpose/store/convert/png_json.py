@@ -26,9 +26,10 @@ from cabinpose.store.convert.reading import (
     read_json,
 )
 from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
-from cabinpose.store.schema import VARIABLE, Manifest
+from cabinpose.store.schema import Manifest
 from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import Report, Source, blank_frame
+from cabinpose.store.variables import VARIABLE
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -30,8 +30,9 @@ from cabinpose.core import (
 )
 from cabinpose.store.convert.camera_file import read_camera
 from cabinpose.store.convert.format import ImportOptions
-from cabinpose.store.schema import DEPTH_SCALE_M, VARIABLE, Manifest
+from cabinpose.store.schema import Manifest
 from cabinpose.store.source import UNKNOWN
+from cabinpose.store.variables import DEPTH_SCALE_M, VARIABLE
 
 _MOST_PX = 20.0  # between the pixels that a file gives and the projection of its points
 _LARGEST_PX = 50_000_000  # of an image: every frame is filled up to the largest

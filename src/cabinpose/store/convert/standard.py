@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +13,12 @@ from cabinpose.store.convert.format import DatasetFormat, NoOptions
 from cabinpose.store.schema import SELECTION, Manifest, dataset_id, read_manifest
 from cabinpose.store.source import Report, Source, fill_dataset
 from cabinpose.store.split import frame_ranges
+from cabinpose.store.upgrade import upgraded_frames, upgraded_manifest
 
 if TYPE_CHECKING:
     import xarray as xr
 
 CHOSEN_BY = "chosen_by"  # the attribute that says in words how the frames of a dataset were chosen
-_AT_ONCE = 20  # frames read together: each reading opens a file of each image
 
 
 class Standard(DatasetFormat):
@@ -49,20 +49,9 @@ def selection_source(chosen: xr.Dataset, split: str = "") -> Source:
     told: dict[str, Any] = {"of": dataset_id(old), "name": Path(folder).resolve().name, "frames": frame_ranges(numbers)}
     told |= {key: value for key, value in (("by", chosen.attrs.get(CHOSEN_BY, "")), ("split", split)) if value}
     told |= {"before": old.selection} if old.selection else {}
-    values = old.model_dump(mode="json", by_alias=True) | {"frames": len(numbers), "config": old.own_config | {SELECTION: told}}
-    manifest = Manifest.model_validate(values)
-    return Source(Path(folder), manifest, lambda: _frames(chosen, manifest))
-
-
-def _frames(chosen: xr.Dataset, manifest: Manifest) -> Iterator[dict[str, Any]]:
-    names = [variable.name for variable in manifest.stored]
-    small = {name: chosen[name].values for name in names if "y" not in chosen[name].dims}
-    for begin in range(0, manifest.frames, _AT_ONCE):
-        rows = slice(begin, begin + _AT_ONCE)
-        images = {name: chosen[name][rows].values for name in names if name not in small}
-        for row in range(begin, min(begin + _AT_ONCE, manifest.frames)):
-            frame = {name: values[row] for name, values in small.items()}
-            yield frame | {name: values[row - begin] for name, values in images.items()}
+    values = upgraded_manifest(old).model_dump(mode="json", by_alias=True, exclude={"upgraded_from"})
+    manifest = Manifest.model_validate(values | {"frames": len(numbers), "config": old.own_config | {SELECTION: told}})
+    return Source(Path(folder), manifest, lambda: upgraded_frames(chosen, old, manifest))
 
 
 STANDARD = Standard()

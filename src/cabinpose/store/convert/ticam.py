@@ -130,7 +130,7 @@ class TicamFormat(DatasetFormat):
             frames=sum(len(sequence.depth) for sequence in sequences),
             size=size,
             persons=_PLACES,
-            variables=("depth", *("amplitude",) * infrared, *("labels", "instance", "things", "child") * labelled),
+            variables=("depth", *("amplitude",) * infrared, *("labels", "instance") * labelled),
             labels=LABELS if labelled else (),
             config={"sequences": [sequence.name for sequence in sequences], "every": options.every},
         )
@@ -280,9 +280,20 @@ def _put_people(frame: dict[str, Any], sequence: _Sequence, index: int, manifest
             frame["subject"][place], frame["action"][place] = latest.person, latest.name
         elif mine:
             frame["subject"][place], frame["action"][place] = who.pop() if len(who) == 1 else UNKNOWN, UNKNOWN
-        frame["child"][place] = bool(mine) and all(box.number != _ADULT for box in mine)
         beside = {CLASSES[b.number][1] for b in boxes if b not in people and _side(b, manifest.width) == place}
         frame["things"][place] = ",".join(sorted(beside))
+        frame["occupancy"][place] = _occupancy(mine, beside)
+
+
+def _occupancy(mine: Sequence[_Box], beside: set[str]) -> str:
+    """The state of a place by the boxes of people in it and the classes of what else is there; "infant" as TICaM has it."""
+    seat = bool(beside & {"infant_seat", "child_seat"})
+    if not mine:
+        return "child_seat_empty" if seat else "object" if beside else "empty"
+    numbers = {box.number for box in mine}
+    if _ADULT in numbers:
+        return "adult"
+    return "infant" if numbers == {_NUMBER["infant"]} else "child_in_child_seat" if seat else "child"
 
 
 def _check_boxes(labels: Path, sequences: Sequence[_Sequence], size: tuple[int, int]) -> None:
