@@ -88,7 +88,7 @@ def test_people(tmp_path: Path) -> None:
         assert (where(instance, "driver") == 1).all()
         assert (where(instance, "passenger") == 2).all()
         assert ((instance > 0) == (ds.labels[row].values == 34)).all()
-    assert ds.child.values.tolist() == [[0, 0]] * 3 + [[0, 1]] * 2
+    assert ds.occupancy.values.tolist() == [["adult", "adult"]] * 3 + [["adult", "child_in_child_seat"]] * 2
     assert ds.things.values.tolist() == [["", ""], ["", "bag"], ["", ""]] + [["", "child_seat"]] * 2
 
 

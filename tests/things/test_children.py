@@ -142,13 +142,14 @@ def test_frames_say_who_is_held_by_what_and_are_kept() -> None:
     )  # fmt: skip
     frame, scene = FrameMaker(asked, 1).make(0)
     assert frame["belt"] == ["under_arm", "", "harness", "", ""]
-    assert frame["child"].tolist() == [0, 0, 1, 0, 0]
-    assert frame["child_seat"] == ["", "", "taken", "", "empty"]
+    assert frame["occupancy"] == ["adult", "object", "child_in_child_seat", "empty", "child_seat_empty"]
+    assert frame["child_seat_kind"] == ["", "", "toddler", "", "infant"]
+    assert frame["child_seat_facing"] == ["", "", "forward", "", "rearward"]
     assert frame["attachment"] == ["", "", "belt", "", "belt"]
     assert frame["things"][1] == "jacket"
     assert len(scene.fastenings) == 2
     kept, _ = FrameMaker(SynthConfig.parse(exact_scene(asked, scene).model_dump(mode="json")), 1).make(0)
-    for name in ("depth_clean", "labels", "instance", "belt", "child", "child_seat", "attachment", "things"):
+    for name in ("depth_clean", "labels", "instance", "belt", "occupancy", "child_seat_kind", "attachment", "things"):
         np.testing.assert_array_equal(kept[name], frame[name])
 
 
