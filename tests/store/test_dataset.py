@@ -159,7 +159,9 @@ def test_any_values_survive(data: st.DataObject, spheres: ModuleType, tmp_path_f
             shape = manifest.frame_shape(variable)
             if variable.dtype == "str":
                 names = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
-                frame[variable.name] = data.draw(names) if not shape else data.draw(hnp.arrays(object, shape, elements=names)).tolist()
+                frame[variable.name] = (
+                    data.draw(names) if not shape else data.draw(hnp.arrays(object, shape, elements=names)).tolist()
+                )
             else:
                 frame[variable.name] = data.draw(hnp.arrays(variable.dtype, shape))
         frame["camera_k"], frame["camera_dist"] = spheres.camera_k(5, 3), np.zeros(5)  # any others are no camera's

@@ -77,7 +77,8 @@ def test_disk_full(spheres: ModuleType, tmp_path: Path) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a tmpfs needs root")
 def test_disk_really_full(spheres: ModuleType, tmp_path: Path) -> None:
     manifest = spheres.manifest(frames=4, frames_per_part=2, width=160, height=120)
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1600k", "none", tmp_path], check=False, capture_output=True).returncode:
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1600k", "none", tmp_path]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
         pytest.skip("a tmpfs cannot be mounted here")
     try:
         folder = tmp_path / "full"

@@ -17,11 +17,12 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS
 from cabinpose.scene.cabin import STATIC_GROUP
 from cabinpose.scene.contact import first_crossings
+from cabinpose.synth.posture import FREE_POSES
 from cabinpose.synth.posture.gaze import HEAD_SHARE
 from cabinpose.synth.scene import Scene, ScenePerson
 
 GAZE_VARIABLES = ("gaze", "gaze_target", "vehicle_from_head")
-ASLEEP = "sleep"  # the action in which eyes are closed
+ASLEEP = frozenset({"sleep", *(name for name, pose in FREE_POSES.items() if pose.asleep)})  # actions in which eyes are closed
 _FAR_M = 10.0
 _BODY_M = 0.35  # of a person's surface from the nearest joint, at the most
 _HANDS = [SEGMENTS.index(side + "hand") for side in "lr"]
@@ -39,7 +40,7 @@ def gaze_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
     for person in scene.people:
         row = slots.index(person.slot)
         heads[row] = person.posed.bones[BONE_INDEX["head"]]
-        if person.action == ASLEEP:
+        if person.action in ASLEEP:
             targets[row] = "nothing"
             continue
         head = heads[row, :3, :3] if person.coming_head is None else person.coming_head

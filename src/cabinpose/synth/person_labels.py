@@ -19,6 +19,7 @@ from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.scene.things import CHILD_SEAT_LABELS, PlacedThing
 from cabinpose.store import AXES, BELT_OF_1
 from cabinpose.synth.gaze import ASLEEP
+from cabinpose.synth.posture import FREE_POSES
 from cabinpose.synth.scene import Scene, ScenePerson
 
 INFANT_YEARS = 1.0  # who is younger is an infant: assumed, as Euro NCAP's dummies Q0 and Q1 divide them
@@ -26,6 +27,7 @@ _RIM_SLACK_M = 0.03  # of the middle of a palm from the rim's centre line, of a 
 _WEARS = AXES["worn"]
 _REFLECTANCE = {material.name: material.reflectance for material in MATERIALS}
 _HANDS = 2
+_STANCE = {"carrier": "lying", "bench": "lying", "standing": "standing", "footwell": "crouching"}  # of who is where
 
 
 class _Body(NamedTuple):
@@ -152,12 +154,15 @@ def doing_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
             if thing.slot == slot and thing.at == "hand":
                 off = [rp.norm(palm - np.asarray(thing.vehicle_from_thing)[:3, 3]) for palm in palms]
                 hold[row][int(off[1] < off[0])] = _kind(thing)
-        if who.action == ASLEEP:
+        if who.action in ASLEEP:
             lids[row] = 0.0
     stance = "standing" if scene.cabin is None else "sitting"
     return {
-        "stance": [stance if slot in people else "" for slot in slots],
-        "alertness": [("asleep" if who.action == ASLEEP else "awake") if (who := people.get(s)) else "" for s in slots],
+        "stance": [
+            "" if (who := people.get(slot)) is None else _STANCE[pose.where] if (pose := FREE_POSES.get(who.action)) else stance
+            for slot in slots
+        ],
+        "alertness": [("asleep" if who.action in ASLEEP else "awake") if (who := people.get(s)) else "" for s in slots],
         "expression": [""] * len(slots),
         "phone": [_phone(people.get(slot), hold[row]) for row, slot in enumerate(slots)],
         "in_hand": hold, "hand_clock": clock, "eyelid_opening": lids,
