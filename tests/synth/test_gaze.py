@@ -41,7 +41,7 @@ def test_the_target_is_what_the_eye_sees_in_the_middle() -> None:
     told = set()
     for index in range(12):
         scene = sampler.sample(index, rng=frame_rng(2, index))
-        labels = gaze_labels(scene, SLOTS)
+        labels = gaze_labels(scene, SLOTS, target=True)
         (person,), target = scene.people, labels["gaze_target"][0]
         start = person.posed.eyes_m
         hands = person.posed.skin[np.isin(person.person.skin_segment, [SEGMENTS.index(s + "hand") for s in "lr"])]

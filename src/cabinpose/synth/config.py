@@ -286,9 +286,7 @@ class Output(Model):
     """What is written and how it is cut."""
 
     frames_per_part: int = Field(100, ge=1, le=1000)
-    gaze: bool = Field(
-        False, exclude_if=lambda value: not value, description="Write everybody's gaze, its target and head pose as well."
-    )
+    gaze: bool = Field(False, exclude_if=lambda value: not value, description="Write what everybody's gaze meets first as well.")
     drive_side: bool = Field(False, exclude_if=operator.not_, description="Write the side of the wheel of each frame as well.")
     noise: bool = Field(
         False,

@@ -23,9 +23,11 @@ from cabinpose.synth.scene import Scene, ScenePerson
 _SEGMENT_OF = MappingProxyType({"head": "head", "chest": "thorax", "left_foot": "lfoot", "right_foot": "rfoot"})
 _FRONT = ("driver", "front_passenger")
 _AIRBAG_HALF_M = 0.20  # of the dashboard before a passenger's seat, to either side of its middle: where its airbag is, assumed
-_NEAREST, _SPREAD = 24, 16  # points of a part of the body
+_LOOKED_AT = 400  # vertices of a part of the body, evenly taken
+_NEAREST, _SPREAD = 16, 8  # of them
+_OF_FEET = ("dashboard",)  # feet lie on it; how far they are from the wheel says nothing of them
 _FAR_M = 3.0  # beyond every distance in a car
-_FIRST = 4  # points that say how far the others need be looked for
+_FIRST = 1  # points that say how far the others need be looked for
 
 
 @lru_cache(maxsize=64)
@@ -54,9 +56,10 @@ def _hazards(cabin: Cabin) -> dict[tuple[str, str], tuple[str, TriangleMesh]]:
 
 @lru_cache(maxsize=1)
 def _rows() -> dict[str, Ints]:
-    """The vertices of the skin that belong to each part of the body."""
+    """Vertices of the skin that belong to each part of the body."""
     segment = vertex_segments()
-    return {part: np.flatnonzero(segment == SEGMENTS.index(name)) for part, name in _SEGMENT_OF.items()}
+    rows = {part: np.flatnonzero(segment == SEGMENTS.index(name)) for part, name in _SEGMENT_OF.items()}
+    return {part: all_rows[:: max(1, len(all_rows) // _LOOKED_AT)] for part, all_rows in rows.items()}
 
 
 def distance_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Floats32]:
@@ -78,7 +81,7 @@ def _of_person(who: ScenePerson, hazards: dict[tuple[str, str], tuple[str, Trian
     rows = []
     for part in AXES["body_part"]:
         points = skin[_rows()[part]].astype(np.float64)
-        of_slot = [hazards.get((who.slot, name)) for name in AXES["hazard"]]
+        of_slot = [hazards.get((who.slot, name)) if name in _OF_FEET or "foot" not in part else None for name in AXES["hazard"]]
         rows.append([math.nan if found is None else _distance(points, *found, frames) for found in of_slot])
     return np.array(rows)
 

@@ -28,11 +28,12 @@ _BODY_M = 0.35  # of a person's surface from the nearest joint, at the most
 _HANDS = [SEGMENTS.index(side + "hand") for side in "lr"]
 
 
-def gaze_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
+def gaze_labels(scene: Scene, slots: tuple[str, ...], *, target: bool) -> dict[str, Any]:
     """The variables `GAZE_VARIABLES` of a frame, by slots (P,).
 
     gaze: (P, 3) unit vectors of the lines of sight, vehicle frame, NaN where nobody looks · gaze_target: (P,) what they meet
-    first: a part of the car, the slot of somebody else, "hand" for an own one, "outside"; "nothing" of who sleeps ·
+    first: a part of the car, the slot of somebody else, "hand" for an own one, "outside"; "nothing" of who sleeps; not
+    looked for, and empty, without `target` ·
     vehicle_from_head: (P, 4, 4), x to the front of the face, y left, origin at C1.
     """
     count = len(slots)
@@ -41,11 +42,12 @@ def gaze_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
         row = slots.index(person.slot)
         heads[row] = person.posed.bones[BONE_INDEX["head"]]
         if person.action in ASLEEP:
-            targets[row] = "nothing"
+            targets[row] = "nothing" if target else ""
             continue
         head = heads[row, :3, :3] if person.coming_head is None else person.coming_head
         gaze[row] = line_of_sight(head, _heading(scene, person))
-        targets[row] = _target(scene, person, gaze[row])
+        if target:
+            targets[row] = _target(scene, person, gaze[row])
     return {"gaze": gaze.astype(np.float32), "gaze_target": targets, "vehicle_from_head": heads}
 
 

@@ -121,7 +121,7 @@ TABLE: tuple[Made, ...] = (
     _labels(body_labels),
     _labels(occupancy_labels),
     _labels(doing_labels),
-    _labels(gaze_labels),
+    Made(_always, lambda facts: gaze_labels(facts.scene, facts.slots, target=facts.config.output.gaze)),
     _labels(distance_labels),
     _labels(box_labels),
     _one("box_2d", lambda facts: visible_boxes(facts.rendered.labels, facts.rendered.instance, len(facts.slots))),
