@@ -44,7 +44,16 @@ WRITES = {
     "align, the report": "align no.mcap --calibration no.yaml --out d --report {out}",
     "evaluate-mocap": "evaluate-mocap sse roll=no.mcap --out {out}",
 }
-NONE = {"info", "models", "serve", "forget", "emulate", "studio", "bench"}  # these write nothing, or what no --out names
+NONE = {
+    "info",
+    "models",
+    "serve",
+    "forget",
+    "emulate",
+    "studio",
+    "bench",
+    "upgrade",
+}  # these write nothing, or what no --out names
 
 
 def test_every_command_is_in_the_table() -> None:

@@ -107,8 +107,11 @@ FREE_POSES: Mapping[str, FreePose] = MappingProxyType(
         )
     }
 )  # fmt: skip
+"""What infants in carriers do, and children without a seat, by name."""
 IN_CARRIER: Mapping[str, float] = MappingProxyType({"infant_asleep": 1.0, "infant_awake": 1.0})
+"""How likely infants in carriers do what."""
 WITHOUT_SEAT = tuple(name for name, pose in FREE_POSES.items() if pose.where != "carrier")
+"""What children without a seat do."""
 
 
 class _Plane(NamedTuple):
