@@ -168,11 +168,10 @@ def _correct(command: ImportLabels) -> None:
     from cabinpose.app.label.corrections import corrections
     from cabinpose.app.label.labelling import Labelling, open_labels
     from cabinpose.app.view.draw import completed
-    from cabinpose.store import open_dataset, read_manifest
+    from cabinpose.store import open_dataset
 
-    read_manifest(command.corrects)  # of a recording or a scene there are no labels
     new = not command.out.exists()
-    dataset = completed(open_dataset(command.corrects))
+    dataset = completed(open_dataset(command.corrects))  # of a recording or a scene there are no labels
     labels = open_labels(command.out, dataset)
     try:
         labelling = Labelling(dataset, labels, command.role)

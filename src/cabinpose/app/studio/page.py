@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from nicegui import ui
+from nicegui.events import ValueChangeEventArguments
 
 from cabinpose.app.studio import compare_tab, dataset_tab, label_tab, live_tab, scene_tab
 from cabinpose.app.studio.tab import Page, Shared, Tab, empty_state
@@ -146,6 +148,11 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
             fill(due[name])
         bar.value = name
 
+    def opens(change: ValueChangeEventArguments[Any]) -> None:
+        """A tab is chosen, by whatever way."""
+        show(change.value)
+        remember({"tab": change.value})
+
     def fill_next() -> None:
         """Build a tab that nobody has looked at yet, once the one in front has been sent."""
         if due:
@@ -190,8 +197,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
         for tab in TABS:
             panels[tab.name] = ui.tab_panel(tab.name)
         fill(due[first])
-        bar.on_value_change(lambda change: show(change.value))
-        bar.on_value_change(lambda change: remember({"tab": change.value}))
+        bar.on_value_change(opens)
         ui.timer(_BETWEEN_S, fill_next, once=True)
     ui.keyboard(on_key=lambda event: list_keys() if event.action.keydown and event.key == "?" else None)
     ui.timer(1.0, renew)  # another browser may have opened a dataset

@@ -22,6 +22,7 @@ from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
 
 SOLE_M = {"none": 0.0, "trainers": 0.025, "leather": 0.020}
+SHOE_MATERIAL = {"trainers": "synthetic_fabric", "leather": "leather_shoe"}
 HEEL_BACK_M = 0.008  # how far a shoe reaches behind the heel
 
 
@@ -147,9 +148,8 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     sections[:, :, 1] = middle[:, None] + half[:, None] * outline[:, 0]
     sections[:, :, 2] = bottom[:, None] + (upper - bottom)[:, None] * outline[:, 1]
     vertices, faces = _tube(sections)
-    material = "synthetic_fabric" if kind == "trainers" else "leather_shoe"
     part = "foot_left" if side == "l" else "foot_right"
-    made = _rigid(rp.matmul(vertices, frame.T) + origin, _outward(vertices, faces), side + "foot", part, material)
+    made = _rigid(rp.matmul(vertices, frame.T) + origin, _outward(vertices, faces), side + "foot", part, SHOE_MATERIAL[kind])
     sole = vertices[faces][:, :, 2].max(axis=1) < bottom.max() + 0.012
     return Accessory(
         made.vertices, made.faces, made.bones, made.weights, made.label,

@@ -10,7 +10,7 @@ import numpy as np
 
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
-from cabinpose.scene.body.accessories import accessories, foot_faces_hidden
+from cabinpose.scene.body.accessories import SHOE_MATERIAL, accessories, foot_faces_hidden
 from cabinpose.scene.body.garments import BOTTOMS, TOPS, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
@@ -108,7 +108,7 @@ def worn(outfit: Outfit) -> dict[str, tuple[str, str]]:
         "beard": place("beard" if outfit.beard else "none", "hair"),
         "top": place(outfit.top, TOPS[outfit.top].material if outfit.top in TOPS else ""),
         "bottom": place(outfit.bottom, BOTTOMS[outfit.bottom].material if outfit.bottom in BOTTOMS else ""),
-        "shoes": place(outfit.shoes, "leather_shoe" if outfit.shoes == "leather" else "synthetic_fabric"),
+        "shoes": place(outfit.shoes, SHOE_MATERIAL.get(outfit.shoes, "")),
         "headwear": place("cap" if outfit.cap else "none", "cotton"),
         "glasses": place("clear" if outfit.glasses else "none", "spectacle_lens"),
         "mask": ("none", ""),

@@ -28,15 +28,13 @@ from cabinpose.synth.posture.solver import Goals, Sitter
 
 Where: TypeAlias = Literal["carrier", "standing", "bench", "footwell"]
 _STIFFNESS, _ROOT_WEIGHT = 0.12, np.array([4.0, 4.0, 6.0, 0.8, 0.8, 0.8])
-_TURNED = rp.matmul(axis_rotation("z", math.pi), np.eye(3))  # a carrier looks back
+_TURNED = axis_rotation("z", math.pi)  # a carrier looks back
 _LYING_ON = ("pelvis", "abdomen", "thorax")
 _SAG_M = 0.008  # of skin in padding and foam
 _LEAST_SKIN = 12  # vertices that carry
 _SMALL_M = 0.01  # standard deviation of where somebody is, m
-_BEFORE_EDGE_M, _BEHIND_FRONT_M = (
-    0.15,
-    0.07,
-)  # pelvis, from the front edge of a rear cushion: of who is there, stands behind a seat
+_BEFORE_EDGE_M = 0.15  # of the pelvis, from the front edge of a rear cushion
+_BEHIND_FRONT_M = 0.07  # the same of who stands behind a front seat
 _ASIDE_M = 0.15
 _EDGE_M = 0.33  # of that edge from the H-point
 _ABOVE_FLOOR_M = 0.006
