@@ -11,7 +11,16 @@ from scipy.interpolate import PchipInterpolator
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import apply, is_rigid
 from cabinpose.core.pose import OCCUPANT_SLOTS
-from cabinpose.scene.cabin import PRESETS, SEATS_OF_ALL, VIEWS_OF_ALL, Cabin, CabinDimensions, SeatSetting, build_cabin
+from cabinpose.scene.cabin import (
+    PRESETS,
+    PRODUCT_VIEWS,
+    SEATS_OF_ALL,
+    VIEWS_OF_ALL,
+    Cabin,
+    CabinDimensions,
+    SeatSetting,
+    build_cabin,
+)
 from cabinpose.scene.cabin.layout import Layout, monotone_cubic
 from cabinpose.scene.surface import Surface
 
@@ -32,7 +41,8 @@ def cabin(request: pytest.FixtureRequest) -> Cabin:
 
 def test_every_cabin_has_what_every_cabin_has(cabin: Cabin) -> None:
     assert set(SEATS_OF_ALL) <= set(cabin.seats)
-    assert set(VIEWS_OF_ALL) == set(cabin.views)
+    products = PRODUCT_VIEWS if cabin.steering_wheel is not None else ()
+    assert tuple(cabin.views) == (*VIEWS_OF_ALL, *products)
 
 
 def test_each_solid_is_closed_and_looks_outwards(cabin: Cabin) -> None:

@@ -9,7 +9,7 @@ from cars import DIMENSIONS
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.frames import apply, invert, look_at
-from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, Cabin, build_cabin
+from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, PRODUCT_VIEWS, Cabin, build_cabin
 from cabinpose.scene.cabin.layout import Layout, pedal_plane_angle
 from cabinpose.scene.labels import LABEL_ID as LABEL
 
@@ -55,6 +55,20 @@ def test_each_view_is_clear_and_sees_its_people(name: str, side: str) -> None:
             near = np.linalg.norm(places - anchor.eye, axis=1) < reach[index] - 0.12  # 0.12: the body is thicker than its joints
             blocked = near & ~soft[triangle]
             assert blocked.sum() <= 1, (view, slot)  # a hip may be behind the wheel's rim or the console
+
+
+@pytest.mark.parametrize("name", [name for name in DIMENSIONS if DIMENSIONS[name].layout != "facing"])
+def test_places_of_products_are_clear_and_look_at_the_driver(name: str) -> None:
+    """12 mm to the nearest part; the head of a 1.75 m driver in front of each, and for the wide ones in their image."""
+    cabin = build_cabin(DIMENSIONS[name])
+    surface = cabin.surface({})
+    mesh = trimesh.Trimesh(surface.vertices.astype(float), surface.faces, process=False)
+    head = trunk_points(cabin, "driver")[-1:]
+    for view in PRODUCT_VIEWS:
+        anchor = cabin.view(view)
+        assert trimesh.proximity.closest_point(mesh, anchor.eye[None])[1][0] > 0.012, view
+        seen = apply(invert(look_at(anchor.eye, anchor.target)), head)
+        assert MONSTAR.contains(MONSTAR.project(seen)).all(), view
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -173,11 +173,17 @@ def test_a_scene_written_out_gives_the_same_bytes(tmp_path: Path) -> None:
         (one,) = cabinpose.generate(frames=1, first=index, seed=SEED, config=drawn)
         (same,) = cabinpose.generate(frames=1, first=index, seed=SEED, config=told)
         (noisy,) = cabinpose.generate(frames=1, first=index + 1, seed=SEED, config=told)
-        assert {name for name in one if not np.array_equal(one[name], same[name], equal_nan=np.asarray(one[name]).dtype.kind == "f")} == set()
+        assert {
+            name for name in one if not np.array_equal(one[name], same[name], equal_nan=np.asarray(one[name]).dtype.kind == "f")
+        } == set()
         assert np.array_equal(one["depth_clean"], noisy["depth_clean"], equal_nan=True)
         assert not np.array_equal(one["depth"], noisy["depth"], equal_nan=True)
         met.update([one["car"], *filter(None, one["subject"])])
     assert {"C0000", "anna"} <= set(met)
+
+
+def _equal(a: Any, b: Any) -> bool:
+    return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
 
 
 def test_noise_has_numbers_of_its_own() -> None:

@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 
 from cabinpose.app.cli import main
-from cabinpose.core import Matrix, apply, invert
-from cabinpose.scene.cabin import PRESETS, Cabin, build_cabin
-from cabinpose.scene.contact import first_crossings
+from cabinpose.core import ConfigError, Matrix, apply, invert
+from cabinpose.scene.cabin import PRESETS, PRODUCT_VIEWS, VIEWS_OF_ALL, Cabin, build_cabin
+from cabinpose.scene.contact import ContactField, first_crossings
 from cabinpose.scene.sensor import PhysicalNoise, place_camera, sensor_by_name, simulate
 from cabinpose.synth import PlaceReport, SynthConfig, frame_rng, judge_place, preflight
+from cabinpose.synth.camera import Camera
 from cabinpose.synth.place import FEWEST_VALID, reduced
 from cabinpose.synth.render import Rasteriser
+from cabinpose.synth.viewpoint import LENS_M
 
 SENSOR = sensor_by_name("pico_monstar_105/5")
 built: Callable[[str], Cabin] = cache(build_cabin)
@@ -48,7 +50,8 @@ def judged(cabin: Cabin, eye: Vector, target: Vector, **changes: Any) -> PlaceRe
 def test_nothing_is_said_of_the_views_of_the_cars(car: str) -> None:
     cabin = built(car)
     for sensor in (SENSOR, sensor_by_name("evk75123")):
-        for name, anchor in cabin.views.items():
+        for name in VIEWS_OF_ALL:
+            anchor = cabin.view(name)
             place = place_camera(anchor.eye, anchor.target, rng=frame_rng(0, 0))
             report = judge_place(cabin, name, place, sensor, PhysicalNoise())
             assert report.doubts == ()
@@ -72,7 +75,7 @@ def test_a_place_under_the_mirror_is_good() -> None:
 def test_seats_are_seen_as_lines_to_them_are_free() -> None:
     """By exact segments through the car's triangles, where the report goes by the pixels of a small image."""
     cabin = built("hatchback")
-    for view in cabin.views.values():
+    for view in map(cabin.view, VIEWS_OF_ALL):
         place = place_camera(view.eye, view.target, rng=frame_rng(0, 0))
         report = judge_place(cabin, "view", place, SENSOR, PhysicalNoise())
         surface = cabin.surface()
@@ -120,12 +123,50 @@ def checked(text: str, *changes: str) -> tuple[tuple[PlaceReport, ...], list[str
 
 
 def test_own_places_are_judged_before_a_run_and_the_packages_own_are_not() -> None:
-    bad = "camera.views={hood: {position_m: [0.3, 0, 1], look_at_m: [-1, 0, 0.6]}}"
-    (place,), (words,) = checked("scene.cars=[sedan]", bad)
-    assert (place.car, place.view) == ("sedan", "hood")
+    doubtful = "camera.views={feet: {position_m: [-0.45, 0.12, 0.6], look_at_m: [0.15, 0.36, 0.05]}}"
+    (place,), (words,) = checked("scene.cars=[sedan]", doubtful)
+    assert (place.car, place.view) == ("sedan", "feet")
     assert place.valid < FEWEST_VALID
-    assert words.startswith("view 'hood' in sedan: ")
+    assert words.startswith("view 'feet' in sedan: ")
     assert checked("scene.cars=[sedan]") == ((), [])
+
+
+@pytest.mark.parametrize("name", [name for name in BAD if name != "too near"])
+def test_a_camera_that_sees_a_wall_is_refused_with_the_reason(name: str) -> None:
+    eye, target, words = BAD[name]
+    view = f"camera.views={{mine: {{position_m: {list(eye)}, look_at_m: {list(target)}}}}}"
+    with pytest.raises(ConfigError, match="view 'mine' sees nobody in sedan") as caught:
+        checked("scene.cars=[sedan]", view)
+    assert [each for each in words if each not in str(caught.value)] == []
+
+
+def test_a_camera_that_is_blind_in_one_car_of_two_is_told() -> None:
+    """It is in the van's cabin, and above the coupe's roof."""
+    _, words = checked("scene.cars=[coupe, van]", "camera.views={mine: {position_m: [-0.5, 0, 1.2], look_at_m: [-1.2, 0, 0.6]}}")
+    assert [each for each in words if "view 'mine' in coupe" in each and "it sees no seat" in each]
+    assert not [each for each in words if "in van" in each]
+
+
+NARROW = {
+    "preset": "pico_monstar_105/5",
+    "camera": {"width": 320, "height": 240, "hfov": 74.4, "vfov": 59.3},
+    "range_m": [0.2, 2.0],
+}
+
+
+@pytest.mark.parametrize("car", [car for car in PRESETS if car != "shuttle"])
+def test_places_of_products_are_free_and_see_the_driver(car: str) -> None:
+    """`cluster` and `display` with the narrow lens of such cameras, the others with the wide one, too."""
+    cabin, narrow = built(car), Camera.model_validate({"sensor": NARROW}).sensor_model
+    settings = {slot: seat.default for slot, seat in cabin.seats.items()}
+    for name in PRODUCT_VIEWS:
+        anchor = cabin.view(name)
+        assert ContactField(cabin).clearance(anchor.eye[None], settings, 0.0)[0] > LENS_M, name
+        place = place_camera(anchor.eye, anchor.target, rng=frame_rng(0, 0))
+        for sensor in (narrow,) if name in {"cluster", "display"} else (narrow, SENSOR):
+            report = judge_place(cabin, name, place, sensor, PhysicalNoise())
+            assert report.doubts == (), name
+            assert "driver" in report.seen, name
 
 
 def test_an_own_sensor_is_judged_in_the_first_car() -> None:
@@ -140,20 +181,20 @@ def test_config_check_and_synth_tell(tmp_path: Path, capsys: pytest.CaptureFixtu
         "scene: {cars: [sedan]}\n"
         "camera:\n"
         "  sensor: {camera: {width: 64, height: 48, fov_deg: 95}, fps: 5}\n"
-        "  views: {hood: {position_m: [0.3, 0, 1], look_at_m: [-1, 0, 0.6]}}\n"
+        "  views: {feet: {position_m: [-0.45, 0.12, 0.6], look_at_m: [0.15, 0.36, 0.05]}}\n"
     )
     assert main(["config", "check", str(file)]) == 0
     out, err = capsys.readouterr()
-    assert "view hood  sedan: " in out
+    assert "view feet  sedan: " in out
     assert "own_camera (64x48 px, 95° x 78.6°" in out
     assert "range_m 0.3 2, " in out
     assert "fps" not in out
-    assert "warning: view 'hood' in sedan: it looks at the seats through glass" in err
+    assert "warning: view 'feet' in sedan: " in err
     assert main(["config", "check", str(file), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["places"][0]["seats"]["driver"] == 0.0
     assert told["taken"].startswith("range_m 0.3 2, ")
     assert main(["synth", "--config", str(file), "--frames", "1", "--out", str(tmp_path / "made")]) == 0
     _, err = capsys.readouterr()
-    assert err.count("view 'hood'") == 1
+    assert err.count("view 'feet'") == 1
     assert "not given, taken as in a Pico Monstar: range_m 0.3 2, " in err

@@ -112,7 +112,7 @@ def test_what_no_random_car_allows_is_refused(scene: dict[str, Any], views: dict
     [
         ({}, {"driver": 0.5, "rear": 0.5, "bonnet": 0.0}, 0),  # what every car has
         ({"motion": {"driver": {"drive": 1.0}}}, {"driver": 1.0}, 2),
-        ({}, {"mine": {"position_m": (0.6, 0.0, 1.0), "look_at_m": (-1.0, 0.0, 1.0)}}, 2),
+        ({}, {"mine": {"position_m": (-0.35, 0.0, 0.92), "look_at_m": (-1.0, 0.0, 0.6)}}, 2),
         ({"occupancy": {"driver": 0.0, "rear_center": 1.0}, "cars": ["hatchback"], "random_cars": 0}, {"driver": 1.0}, 1),
     ],
 )

@@ -53,6 +53,7 @@ def test_the_command_prints_every_place_of_the_car_and_the_same_again(capsys: py
     assert [row.split()[0] for row in rows] == list(views)
 
 
+@pytest.mark.slow  # 20 scenes
 def test_the_page_shows_what_the_command_prints(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "views", "sedan"]) == 0
     page = (EXAMPLE.parents[1] / "guides/own-camera.md").read_text("utf-8")

@@ -75,8 +75,8 @@ class Camera(Model):
     )
     views: Mapping[str, Probability | CameraPose | ExactCameraPose] = Field(
         {"driver": 0.5, "front_row": 0.5},
-        description="Weights of the views (in a car driver, front_row, rear; in a room room, room_top), or in a car own poses by"
-        " name (each of weight 1).",
+        description="Weights of the views (in a car driver, front_row, rear, and mirror, roof_console, cluster, a_pillar,"
+        " display, where cameras of products sit; in a room room, room_top), or in a car own poses by name (each of weight 1).",
     )
     jitter_m: float = Field(0.02, ge=0.0, le=0.5, description="The position moves by up to this along each of the camera's axes.")
     jitter_deg: float = Field(2.0, ge=0.0, le=45.0, description="The orientation turns by up to this about each of its axes.")

@@ -86,6 +86,13 @@ def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> tuple[Pl
         first = scene.cars[0]
         cabin = open_cabin(first.dimensions if isinstance(first, ChangedPreset) else first, "left")
         reports += _judged_views(config, _Car(cabin.name, cabin, (), ours=False))
+    for name in config.camera.weights:
+        of_view = [report for report in reports if report.view == name]
+        if of_view and all(report.blind for report in of_view):
+            raise ConfigError(
+                f"view '{name}' sees nobody in {of_view[0].car}: {'; '.join(of_view[0].doubts)}",
+                hint="x is forward, y left, z up, seats are at negative x (m); `cabinpose config views CAR` prints good places",
+            )
     for report in reports:
         if report.doubts:
             warnings.warn(f"view '{report.view}' in {report.car}: {'; '.join(report.doubts)}", stacklevel=2)

@@ -64,7 +64,7 @@ class ConfigViews(PrintsJson):
     car: Annotated[Positional[str], arg(metavar="CAR")]
     """A preset, or the YAML of a car of your own."""
     sensor: str = "pico_monstar_105/5"
-    """The camera: a preset."""
+    """The camera: a preset, or a configuration (YAML) with one."""
     frames: int = 20
     """Scenes that are drawn; all places see the same."""
     seed: int = 0
@@ -163,12 +163,13 @@ def _check(command: ConfigCheck, config: SynthConfig) -> None:
 def _views(command: ConfigViews) -> None:
     """Draw scenes in a car and look at them from its places."""
     from cabinpose.scene.sensor import sensor_by_name
-    from cabinpose.synth import check_seed, views_seen
+    from cabinpose.synth import SynthConfig, check_seed, views_seen
 
     if command.frames < 1:
         raise ConfigError(f"cannot look at {command.frames} scenes", hint="give --frames of 1 or more")
     check_seed(command.seed)
-    sensor = sensor_by_name(command.sensor)
+    own = command.sensor.endswith((".yaml", ".yml"))
+    sensor = SynthConfig.load(Path(command.sensor)).camera.sensor_model if own else sensor_by_name(command.sensor)
     with progress(command.frames, "scenes") as report:
         views = views_seen(command.car, sensor, frames=command.frames, seed=command.seed, progress=report)
     if command.as_json:

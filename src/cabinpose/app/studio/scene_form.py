@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from cabinpose.core import OCCUPANT_SLOTS
 from cabinpose.scene.body import DEFAULT_RANGES, DOF_INDEX, DOFS, POPULATIONS, SUBJECTS
-from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, VIEWS_OF_ALL
+from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, PRODUCT_VIEWS, VIEWS_OF_ALL
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth import SynthConfig, limits_deg, things_for
 from cabinpose.synth.posture import ACTIONS
@@ -246,7 +246,8 @@ class _Builder:
             return things_for(_THINGS[path[-2]])[1:]
         if path[:2] == ("scene", "motion"):
             return ACTIONS.names()
-        return {"views": tuple(VIEWS_OF_ALL), "ranges": ("years", "stature_cm", "mass_kg", *DEFAULT_RANGES)}.get(last, ())
+        views = (*VIEWS_OF_ALL, *PRODUCT_VIEWS)
+        return {"views": views, "ranges": ("years", "stature_cm", "mass_kg", *DEFAULT_RANGES)}.get(last, ())
 
     def _values(self, path: Path) -> tuple[str, ...]:
         """Usual values of a text; () for none."""

@@ -6,7 +6,6 @@ from .belt import belt_surface as belt_surface
 from .belt import fastening_surface as fastening_surface
 from .belt import harness_surface as harness_surface
 from .build import SEATS_OF_ALL as SEATS_OF_ALL
-from .build import VIEWS_OF_ALL as VIEWS_OF_ALL
 from .build import build_cabin as build_cabin
 from .car_draft import draft_car_file as draft_car_file
 from .car_file import COMMON_RULES as COMMON_RULES
@@ -40,3 +39,5 @@ from .sizes import SizeVerdict as SizeVerdict
 from .sizes import judged as judged
 from .sizes import measured as measured
 from .sizes import places_of as places_of
+from .views import PRODUCT_VIEWS as PRODUCT_VIEWS
+from .views import VIEWS_OF_ALL as VIEWS_OF_ALL

@@ -28,11 +28,11 @@ from cabinpose.scene.cabin.presets import PRESET_DIMENSIONS, PRESETS
 from cabinpose.scene.cabin.seats import STYLES, SeatShape, SeatStand, seat_parts
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, join, tube
+from cabinpose.scene.cabin.views import built_views
 
 _FRONT, _REAR = ("driver", "front_passenger"), ("rear_left", "rear_center", "rear_right")
 # What every cabin has that is built here, whatever its dimensions.
 SEATS_OF_ALL = ("driver", "front_passenger", "rear_left", "rear_right")
-VIEWS_OF_ALL = ("driver", "front_row", "rear")
 RECLINE = (np.deg2rad(10.0), np.deg2rad(45.0))  # range of a front backrest's torso angle
 
 
@@ -66,7 +66,7 @@ def _build(d: CabinDimensions, drive_side: DriveSide) -> Cabin:
         targets["gear_lever"] = knob
     parts += _belt_fittings(seats)
     targets |= _reach_targets(layout, seats)
-    views = _views(layout)
+    views = built_views(layout)
 
     if drive_side == "right":
         parts = [_mirrored_part(p) for p in parts]
@@ -233,31 +233,6 @@ def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
         if seat.belt is not None:
             targets[f"buckle_{slot}"] = seat.belt.buckle + (0.0, 0.0, 0.06)
     return targets
-
-
-def _views(layout: Layout) -> dict[str, ViewAnchor]:
-    front, rear = layout.h_front, layout.h_rear
-    if layout.facing:
-        roof_z = float(layout.roof_line(0.5 * (front[0] + rear[0]))) - 0.08
-        middle = 0.5 * (front[0] + rear[0])
-        return {
-            "driver": ViewAnchor(np.array([middle - 0.12, front[1] * 0.75, roof_z - 0.02]), front + (0.10, 0.0, 0.30)),
-            "front_row": ViewAnchor(np.array([middle - 0.25, 0.0, roof_z]), np.array([front[0] + 0.1, 0.0, front[2] + 0.28])),
-            "rear": ViewAnchor(np.array([middle + 0.25, 0.0, roof_z]), np.array([rear[0] - 0.1, 0.0, rear[2] + 0.28])),
-        }
-    shape, face_x, top_z, _ = cockpit.dash_measures(layout)
-    x = layout.header_x + 0.11
-    under_glass = layout.header_z - 0.11 / max(layout.screen_slope, 0.3)
-    driver_eye = np.array([x, front[1] * 0.62, under_glass - 0.075])
-    front_x = min(face_x - shape.stack - 0.085, front[0] + 0.62)  # clear of a screen that stands on the dashboard
-    front_eye = np.array([front_x, 0.0, min(top_z + 0.17, layout.header_z - 0.20)])  # under the mirror
-    rear_x = rear[0] + 0.66
-    rear_eye = np.array([rear_x, 0.0, float(layout.roof_line(rear_x)) - 0.075])
-    return {
-        "driver": ViewAnchor(driver_eye, front + (-0.10, -0.03, 0.33)),
-        "front_row": ViewAnchor(front_eye, np.array([front[0] - 0.12, 0.0, front[2] + 0.36])),
-        "rear": ViewAnchor(rear_eye, np.array([rear[0] - 0.10, 0.0, rear[2] + 0.30])),
-    }
 
 
 def _mirror(p: Vector) -> Vector:

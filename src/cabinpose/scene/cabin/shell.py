@@ -267,6 +267,12 @@ def _end_glass(layout: Layout, front: bool) -> Solid:
     return slab(inner, inner + WALL * normal)
 
 
+def mirror_place(layout: Layout) -> tuple[float, float]:
+    """x and z of the middle of the rear-view mirror, m; it is on the centre line."""
+    z = layout.header_z - 0.105
+    return float(layout.screen_x(np.array(z))) - 0.105, z
+
+
 def roof_fittings(layout: Layout) -> list[Part]:
     """Sun visors, rear-view mirror, grab handles and roof console."""
     parts = []
@@ -282,8 +288,7 @@ def roof_fittings(layout: Layout) -> list[Part]:
 
             visors.append(box.deformed(bend))
         parts.append(Part("sun visors", to_surface(join(visors), "trim", "headliner")))
-        z = layout.header_z - 0.105
-        x = float(layout.screen_x(np.array(z))) - 0.105
+        x, z = mirror_place(layout)
         mirror = rounded_box((0.028, 0.23, 0.066), (0.012, 0.030, 0.028), (1, 2, 1), corner=1)
         mirror = mirror.turned("z", np.deg2rad(-12)).turned("y", np.deg2rad(8)).shifted(x, 0, z)
         stem = smooth_curve([(x + 0.015, 0, z), (x + 0.05, 0, z + 0.035), (x + 0.10, 0, z + 0.075)], 4)
