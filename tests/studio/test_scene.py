@@ -484,7 +484,7 @@ def test_saved_scene_is_generated_with_the_same_bytes(
         shown = draw(preview, editor)
         editor.accept(shown)
         editor.turn_joint(shown, "driver", "head.rotation", 0.1 + 0.2)
-        editor.move_camera(draw(preview, editor), target=(0.1, 0.0, 0.9))
+        editor.move_camera(draw(preview, editor), target=(-1.0, 0.1, 0.6))
     path = editor.save("mine.yaml")
     outcome = run("synth", "--config", path, "--out", editor.folder / "made", "--frames", INDEX + 1, "--seed", SEED)
     assert outcome.code == 0, outcome.err
