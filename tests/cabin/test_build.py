@@ -22,6 +22,7 @@ from cabinpose.scene.cabin import (
     build_cabin,
 )
 from cabinpose.scene.cabin.layout import Layout, monotone_cubic
+from cabinpose.scene.labels import LABELS, coarse_labels
 from cabinpose.scene.surface import Surface
 
 EVERY = [(name, side) for name in PRESETS for side in ("left", "right")]
@@ -189,3 +190,15 @@ def test_the_roof_line_is_its_cubics(name: str) -> None:
     at = np.linspace(knots[0], knots[-1], 101)
     heights = [float(layout.roof_line(x)) for x in knots]
     np.testing.assert_allclose(layout.roof_line(at), PchipInterpolator(knots, heights)(at), rtol=0, atol=1e-12)
+
+
+def test_labels_of_before_are_the_coarse_ones(cabin: Cabin) -> None:
+    """What is fine is in one class of before, and a car with a dashboard has every fine class."""
+    labels = cabin.surface().label
+    names = {label.id: label.name for label in LABELS}
+    coarse = {names[fine]: names[int(coarse_labels(np.array([fine], np.uint8))[0])] for fine in np.unique(labels).tolist()}
+    moved = {fine: before for fine, before in coarse.items() if fine != before}
+    assert set(moved.values()) <= {"trim", "seat"}
+    fine = {"door", "dashboard", "console", "mirror", "screen", "steering_column", "headrest"}
+    assert set(moved) == (fine if cabin.steering_wheel is not None else {"door", "headrest"}) & set(coarse)
+    assert {"seat", "trim", "glass", "floor"} <= set(coarse)

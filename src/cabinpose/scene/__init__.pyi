@@ -5,6 +5,7 @@ from .labels import LABELS as LABELS
 from .labels import LAST_BODY_ID as LAST_BODY_ID
 from .labels import RGB as RGB
 from .labels import THING_LABELS as THING_LABELS
+from .labels import coarse_labels as coarse_labels
 from .labels import ticam_class as ticam_class
 from .materials import MATERIAL_ID as MATERIAL_ID
 from .materials import MATERIALS as MATERIALS

@@ -9,6 +9,9 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class Label(NamedTuple):
     """A pixel class: stable id (fits uint8), name and sRGB colour 0xRRGGBB."""
@@ -33,7 +36,16 @@ _BODY = (
 _WORLD = (
     (0, "background", 0x000000), (64, "seat", 0x8C8C96), (65, "trim", 0x5A5A64), (66, "glass", 0xE7E7E7),
     (67, "steering_wheel", 0xF0A030), (68, "seat_belt", 0xE03030), (69, "floor", 0x3C3228), (70, "pedal", 0xB4B43C),
-    (71, "wall", 0xA0A8A0), (72, "furniture", 0x8C643C),
+    (71, "wall", 0xA0A8A0), (72, "furniture", 0x8C643C), (73, "door", 0x6E5A78), (74, "dashboard", 0x4B6478),
+    (75, "console", 0x785A3C), (76, "headrest", 0xAAAAB9), (77, "mirror", 0x3CB4A0), (78, "screen", 0x28C8F0),
+    (79, "steering_column", 0xC88250),
+)  # fmt: skip
+# Parts of a car that versions up to 0.2 had in other classes, with those.
+_COARSE = MappingProxyType(
+    {
+        "door": "trim", "dashboard": "trim", "console": "trim", "mirror": "trim", "screen": "trim", "steering_column": "trim",
+        "headrest": "seat",
+    }
 )  # fmt: skip
 # Things that people bring along; by the words of SVIRO an infant seat looks back, a child seat forward.
 _THINGS = (
@@ -56,7 +68,17 @@ THING_LABELS: tuple[Label, ...] = tuple(Label(*row) for row in _THINGS)
 LABELS: tuple[Label, ...] = tuple(sorted(BODY_PARTS + tuple(Label(*row) for row in _WORLD) + THING_LABELS))
 LABEL_ID = MappingProxyType({label.name: label.id for label in LABELS})
 RGB = MappingProxyType({label.id: label.rgb for label in LABELS})
+_TO_COARSE = np.arange(256, dtype=np.uint8)
+for _fine, _class in _COARSE.items():
+    _TO_COARSE[LABEL_ID[_fine]] = LABEL_ID[_class]
 FIRST_BODY_ID, LAST_BODY_ID = 1, 63  # ids 1..63 belong to people, 64.. to the world
+
+
+def coarse_labels(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Labels of any shape in the classes of versions up to 0.2: door, dashboard, console, mirror, screen and steering column
+    are trim there, headrests seat.
+    """
+    return _TO_COARSE[labels]
 
 
 def ticam_class(label: Label) -> int:

@@ -17,7 +17,7 @@ from cabinpose.synth.streams import noise_rng
 
 FEWEST_VALID = 0.5  # of the pixels
 LEAST_OF_SEAT = 0.25  # of an occupant's places, from which on a seat counts as seen
-_TOUCHED = [LABEL_ID[name] for name in ("seat", "steering_wheel", "pedal")]  # parts that people sit on and hold
+_TOUCHED = [LABEL_ID[name] for name in ("seat", "headrest", "steering_wheel", "pedal")]  # parts that people sit on and hold
 _LEAST_OF_TOUCHED = 0.01  # of the pixels; below, and without a seat, a camera looks at a wall
 _ROWS = 72  # of the image that is looked at, about
 _WORTH_TELLING = 0.1  # share of the pixels that deliver nothing for one reason

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.core import OCCUPANT_SLOTS
-from cabinpose.scene import LABEL_ID, MATERIAL_ID, RGB, Surface, merge
+from cabinpose.scene import LABEL_ID, MATERIAL_ID, RGB, Surface, coarse_labels, merge
 from cabinpose.scene.cabin import Cabin
 from cabinpose.synth import Scene
 
@@ -109,7 +109,8 @@ def _coloured(surface: Surface, by: str, look: Callable[[int], Look]) -> Body:
 
 def _cabin(scene: Scene) -> Body:
     """A cabin or room that is whole, into which one looks from every side: through glass, and through what is outermost."""
-    surface, names = scene.backdrop, {LABEL_ID[name]: name for name in _CABIN}
+    names = {LABEL_ID[name]: name for name in _CABIN}
+    surface = replace(scene.backdrop, label=coarse_labels(scene.backdrop.label))
     body = _coloured(surface, "label", lambda label: Look(_CABIN[names.get(label, "trim")]))
     count = len(body.looks)
     looks = (*body.looks, *(Look(look.colour, _GHOST) for look in body.looks))
@@ -120,7 +121,7 @@ def _see_through(scene: Scene) -> NDArray[np.bool_]:
     """Which faces (F,) of the cabin are looked through; found once for a car, whatever moves in it."""
     if scene.cabin is not None and scene.cabin in _SEE_THROUGH:
         return _SEE_THROUGH[scene.cabin]
-    hiding = np.flatnonzero(np.isin(scene.backdrop.label, [LABEL_ID[name] for name in _HIDING]))
+    hiding = np.flatnonzero(np.isin(coarse_labels(scene.backdrop.label), [LABEL_ID[name] for name in _HIDING]))
     result = scene.backdrop.label == LABEL_ID["glass"]
     result[hiding] |= _outermost(scene.backdrop, hiding)
     if scene.cabin is not None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cabinpose.app.view.draw import amplitude_image, depth_image, depth_range, draw_skeleton, resized, to_view
 from cabinpose.core import Camera, apply, look_at
-from cabinpose.scene import LABEL_ID
+from cabinpose.scene import LABEL_ID, coarse_labels
 from cabinpose.scene.cabin import SIZES, Cabin, Measure, Seat, SteeringWheel, ViewAnchor
 from cabinpose.store import Colour, Image, Strokes, text
 
@@ -64,7 +64,7 @@ def draw_car(
     corners = surface.vertices.astype(np.float64)[surface.faces]
     bounds = _bounds(cabin)
     plans = [_Plan(axes, bounds) for axes in _SIDES.values()]
-    panels = [_panel(plan, cabin, camera, (corners, surface.label), verdicts, wrong) for plan in plans]
+    panels = [_panel(plan, cabin, camera, (corners, coarse_labels(surface.label)), verdicts, wrong) for plan in plans]
     for plan, panel in zip(plans, panels, strict=True):
         _dimensions(plan, panel, sizes)
     pictures = _frame_pictures(frame)

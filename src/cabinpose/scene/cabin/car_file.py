@@ -23,6 +23,9 @@ class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+_View = Literal["driver", "front_row", "rear", "mirror", "roof_console", "cluster", "a_pillar", "display"]
+
+
 class Rule(_Strict):
     """What meshes of this name are: the first rule whose pattern matches "node/geometry/material" counts."""
 
@@ -30,7 +33,11 @@ class Rule(_Strict):
     within: tuple[Point, Point] | None = Field(
         None, description="Only what of these meshes lies in this box, given by two opposite corners."
     )
-    label: str = Field("trim", description="Pixel class: seat, trim, glass, steering_wheel, seat_belt, floor or pedal.")
+    label: str = Field(
+        "trim",
+        description="Pixel class: seat, headrest, trim, door, dashboard, console, mirror, screen, glass, steering_wheel,"
+        " steering_column, seat_belt, floor or pedal.",
+    )
     material: str = Field("hard_plastic", description="What it is made of, for the sensor; a wrong name lists all.")
     give_mm: float = Field(0.0, ge=0, le=120, description="Depth to which its foam may be pressed in.")
     group: str = Field(
@@ -140,8 +147,10 @@ class CabinFile(_Strict):
         {}, description="Pedals: accelerator, brake, clutch, footrest."
     )
     rules: tuple[Rule, ...] = Field((), description="What the meshes are: the first rule that fits a mesh counts.")
-    views: dict[Literal["driver", "front_row", "rear"], ViewSpec] = Field(
-        {}, description="Camera places: driver, front_row, rear; default: a free place is looked for before the seats."
+    views: dict[_View, ViewSpec] = Field(
+        {},
+        description="Camera places: driver, front_row, rear, or those of products, mirror, roof_console, cluster, a_pillar,"
+        " display; default: a free place is looked for before the seats for the first three.",
     )
     reach_targets: dict[str, Point] = Field(
         {}, description="Points that hands go to, by name, such as gear_lever, infotainment, glovebox, armrest_left."
@@ -154,15 +163,24 @@ COMMON_RULES = (
     Rule(pattern="*window*", label="glass", material="glass"),
     Rule(pattern="*windscreen*", label="glass", material="glass"),
     Rule(pattern="*windshield*", label="glass", material="glass"),
+    Rule(pattern="*head*rest*", label="headrest", material="seat_fabric", give_mm=50),
     Rule(pattern="*leather*seat*", label="seat", material="seat_leather", give_mm=50),
     Rule(pattern="*belt*", label="seat_belt", material="belt_webbing"),
     Rule(pattern="*seat*", label="seat", material="seat_fabric", give_mm=50),
     Rule(pattern="*steering*wheel*", label="steering_wheel", material="steering_leather"),
+    Rule(pattern="*steering*column*", label="steering_column", material="hard_plastic"),
     Rule(pattern="*pedal*", label="pedal", material="rubber"),
     Rule(pattern="*carpet*", label="floor", material="carpet"),
     Rule(pattern="*floor*", label="floor", material="carpet"),
     Rule(pattern="*headlin*", label="trim", material="headliner"),
     Rule(pattern="*roof*", label="trim", material="headliner"),
+    Rule(pattern="*mirror*", label="mirror", material="hard_plastic"),
+    Rule(pattern="*dash*", label="dashboard", material="soft_trim"),
+    Rule(pattern="*instrument*panel*", label="dashboard", material="soft_trim"),
+    Rule(pattern="*console*", label="console", material="hard_plastic"),
+    Rule(pattern="*screen*", label="screen", material="hard_plastic"),
+    Rule(pattern="*display*", label="screen", material="hard_plastic"),
+    Rule(pattern="*door*", label="door", material="soft_trim"),
     Rule(pattern="*", label="trim", material="hard_plastic"),
 )
 

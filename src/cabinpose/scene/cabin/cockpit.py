@@ -84,7 +84,7 @@ def dashboard(layout: Layout) -> list[Part]:
         ]  # fmt: skip
         curve = smooth_curve(points, 26, closed=True)
         rings.append(np.stack((curve[:, 0], np.full(len(curve), y), curve[:, 1]), axis=-1))
-    parts = [Part("dashboard", to_surface(loft(np.stack(rings)), "trim", "soft_trim"))]
+    parts = [Part("dashboard", to_surface(loft(np.stack(rings)), "dashboard", "soft_trim"))]
 
     details = []
     vent = block((0.03, 0.11, 0.052))
@@ -95,14 +95,14 @@ def dashboard(layout: Layout) -> list[Part]:
             details.append(vent.shifted(x, y, mid_z))
     centre_z = top_z - (0.075 if shape.screen == "floating" else 0.055)
     details += [vent.shifted(face_x - shape.stack + 0.014, y, centre_z) for y in (-0.077, 0.077)]
-    parts.append(Part("vents", to_surface(join(details), "trim", "hard_plastic")))
+    parts.append(Part("vents", to_surface(join(details), "dashboard", "hard_plastic")))
     if shape.screen == "floating":
         screen = rounded_box((0.016, 0.27, 0.145), (0.006, 0.014, 0.014), (1, 1, 1), corner=1)
         screen = screen.turned("y", np.deg2rad(8)).shifted(face_x - shape.stack - 0.022, 0.0, top_z + 0.02)
     else:
         screen = rounded_box((0.02, 0.205, 0.115), (0.006, 0.010, 0.010), (1, 1, 1), corner=1)
         screen = screen.turned("y", np.deg2rad(5)).shifted(face_x - shape.stack + 0.012, 0.0, top_z - 0.145)
-    parts.append(Part("screen", to_surface(screen, "trim", "hard_plastic")))
+    parts.append(Part("screen", to_surface(screen, "screen", "hard_plastic")))
     return parts
 
 
@@ -160,7 +160,7 @@ def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
         root = start + 0.02 * axis
         tip = root + np.array([0.0, side * 0.140, 0.008]) + 0.004 * axis
         stalks.append(tube([root + (0, side * 0.04, 0), 0.5 * (root + tip), tip], [0.008, 0.009, 0.0105], 6))
-    parts.append(Part("steering column", to_surface(join([column, *stalks]), "trim", "hard_plastic")))
+    parts.append(Part("steering column", to_surface(join([column, *stalks]), "steering_column", "hard_plastic")))
     return wheel, parts
 
 
@@ -227,7 +227,7 @@ def console(layout: Layout, seat_width: float) -> tuple[list[Part], Vector]:
         section = ellipse(height, wide, 16, 6.0)
         path = np.stack((x, 0 * x, low + height), axis=-1)
         rings = path[:, None] + np.stack((0 * section[..., 0], section[..., 1], section[..., 0]), axis=-1)
-        parts.append(Part("centre console", to_surface(loft(rings), "trim", "soft_trim" if d.leather else "hard_plastic")))
+        parts.append(Part("centre console", to_surface(loft(rings), "console", "soft_trim" if d.leather else "hard_plastic")))
         deck_x = h_x + 0.36
         knob = np.array([deck_x, 0.0, float(np.interp(deck_x, x, top)) + (0.125 if d.clutch else 0.085)])
         foot = knob - (0.0, 0.0, 0.10)
@@ -235,12 +235,12 @@ def console(layout: Layout, seat_width: float) -> tuple[list[Part], Vector]:
         knob = np.array([face_x - 0.17, layout.h_front[1] - 0.27, low_z + 0.13])
         foot = np.array([face_x + 0.02, knob[1], low_z + 0.06])
         pod = rounded_box((0.16, 0.15, 0.12), 0.03, (1, 1, 1)).shifted(face_x + 0.02, float(knob[1]), low_z + 0.06)
-        parts.append(Part("gear lever pod", to_surface(pod, "trim", "hard_plastic")))
+        parts.append(Part("gear lever pod", to_surface(pod, "console", "hard_plastic")))
     else:
         foot = np.array([knob[0] + 0.05, 0.0, 0.04])
         boot = rounded_box((0.26, 0.15, 0.10), (0.05, 0.05, 0.04), (2, 1, 1)).shifted(float(foot[0]), 0, 0.05)
-        parts.append(Part("gear lever boot", to_surface(boot, "trim", "hard_plastic")))
+        parts.append(Part("gear lever boot", to_surface(boot, "console", "hard_plastic")))
     lever = tube([foot, 0.5 * (foot + knob), knob], 0.008, 8)
     ball = rounded_box((0.045, 0.040, 0.055), (0.021, 0.019, 0.024), (1, 1, 1), corner=2).shifted(*knob)
-    parts.append(Part("gear lever", to_surface(join([lever, ball]), "trim", "hard_plastic")))
+    parts.append(Part("gear lever", to_surface(join([lever, ball]), "console", "hard_plastic")))
     return parts, knob

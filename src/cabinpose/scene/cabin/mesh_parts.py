@@ -136,7 +136,7 @@ def _open_share(mesh: NamedMesh, rule: Rule, share: Ints, name: str) -> str:
     others = np.delete(piece, share)
     if np.isin(piece[share], others).any():
         return open_warning(mesh.name, openness(mesh.vertices, mesh.faces), is_seat=False)
-    is_seat = rule.label == "seat" or (rule.group != STATIC_GROUP and rule.give_mm > 0)
+    is_seat = rule.label in ("seat", "headrest") or (rule.group != STATIC_GROUP and rule.give_mm > 0)
     return open_warning(name, openness(mesh.vertices, mesh.faces[share]), is_seat=is_seat)
 
 

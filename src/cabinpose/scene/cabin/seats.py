@@ -240,9 +240,9 @@ def seat_parts(
         parts.append(Part(f"{slot} back shell", to_surface(_back_shell(shape), "seat", "hard_plastic"), back))
     if shape.headrest in ("posts", "wing"):
         pad, posts = _headrest(shape)
-        parts.append(Part(f"{slot} headrest", to_surface(pad, "seat", cover), rest, HEADREST_GIVE))
+        parts.append(Part(f"{slot} headrest", to_surface(pad, "headrest", cover), rest, HEADREST_GIVE))
         if posts is not None:
-            parts.append(Part(f"{slot} headrest posts", to_surface(posts, "seat", "metal"), rest))
+            parts.append(Part(f"{slot} headrest posts", to_surface(posts, "headrest", "metal"), rest))
     if shape.armrests and armrests:
         parts.append(Part(f"{slot} armrests", to_surface(_armrests(shape, armrests), "seat", cover), base, 0.01))
     return parts

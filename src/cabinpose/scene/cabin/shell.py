@@ -124,9 +124,9 @@ def doors(layout: Layout) -> list[Part]:
     rear_cut = float(layout.c_pillar_x(np.array(layout.belt_z)))
     door_front = 0.02 if not layout.facing else layout.cowl_x - 0.12
     grid = _lower_grid(layout, door_front, b, (9, 12))
-    add("front door trim", _side_patch(layout, grid[0], grid[1], _door_trim(layout.d.door_style, *grid[2:])))
+    add("front door trim", _side_patch(layout, grid[0], grid[1], _door_trim(layout.d.door_style, *grid[2:])), "door")
     grid = _lower_grid(layout, b, rear_cut, (8, 12))
-    add("rear door trim", _side_patch(layout, grid[0], grid[1], _door_trim(layout.d.door_style, *grid[2:])))
+    add("rear door trim", _side_patch(layout, grid[0], grid[1], _door_trim(layout.d.door_style, *grid[2:])), "door")
     grid = _lower_grid(layout, max(layout.firewall_x, layout.cowl_x) + 0.03, door_front, (4, 6))
     add("kick panel", _side_patch(layout, grid[0], grid[1], 0.004), material="hard_plastic")
     grid = _lower_grid(layout, rear_cut, layout.back_x, (5, 6))
@@ -136,8 +136,8 @@ def doors(layout: Layout) -> list[Part]:
         armrests = [_armrest(layout, layout.h_front[0], layout.h_front[2], 0.46)]
         if layout.d.door_style != "sport":
             armrests.append(_armrest(layout, layout.h_rear[0], layout.h_rear[2], 0.40))
-        add("armrests", join(armrests), give=0.01)
-        add("door fittings", join(_door_fittings(layout)), material="hard_plastic")
+        add("armrests", join(armrests), "door", give=0.01)
+        add("door fittings", join(_door_fittings(layout)), "door", material="hard_plastic")
 
     x = np.linspace(door_front, rear_cut, 8)
     path = np.stack((x, layout.half_width(x, 0.05 + 0 * x) + 0.015, np.full_like(x, 0.035)), axis=-1)
@@ -293,7 +293,7 @@ def roof_fittings(layout: Layout) -> list[Part]:
         mirror = mirror.turned("z", np.deg2rad(-12)).turned("y", np.deg2rad(8)).shifted(x, 0, z)
         stem = smooth_curve([(x + 0.015, 0, z), (x + 0.05, 0, z + 0.035), (x + 0.10, 0, z + 0.075)], 4)
         stalk = sweep(stem, ellipse(0.011, 0.011, 6))
-        parts.append(Part("rear-view mirror", to_surface(join([mirror, stalk]), "trim", "hard_plastic")))
+        parts.append(Part("rear-view mirror", to_surface(join([mirror, stalk]), "mirror", "hard_plastic")))
     handles = []
     places = [layout.h_rear[0] + 0.02] if not layout.facing else [layout.h_rear[0] + 0.1, layout.h_front[0] - 0.1]
     for x in places:
