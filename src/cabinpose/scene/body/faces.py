@@ -1,0 +1,303 @@
+"""Faces: whose they are (`with_face`), and what they do: eyes that turn, lids that close, brows, mouths (`Face`, `FaceRig`).
+
+Shapes and units are MakeHuman's, see `tools/export_faces.py`. Neither moves the skull above the brows, by whose measures bodies are
+made; expressions move what is seen alone, so that nothing else depends on them.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from cabinpose.core import AssetError, Floats, Floats32, Ints, Ints32, axis_rotation
+from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.parts import cut_skin
+from cabinpose.scene.body.phenotype import Phenotype
+from cabinpose.scene.body.shape import load_shape_space
+
+FACES = "faces.npz"  # beside the body's assets
+
+# Standard deviation of a key's coefficient: as much as moves what it moves most by so much, and no more than this (assumed; the
+# keys' limits are 1). How much of a variance of one side both sides have in common, and of the keys that make faces crooked.
+_TYPICAL_M, _MOST_SD, _BOTH_SIDES, _CROOKED = 0.0022, 0.45, 0.85, 0.5
+_MOST = 2.0  # standard deviations
+
+# Eyes, of the data's oversized balls: the radius where lids lie on them, as a share of the rims' least distance from the middle.
+_BALL, _SOCKET = 0.965, 0.55
+# Edges of pupil and iris as angles from the line of sight: an iris of 11.7 mm (the usual width of a cornea), a pupil of 4 mm
+# (assumed) on the ball of the average adult, whose rims leave as much of it open as is usual. Then the ball, to its back.
+_RINGS_DEG = (7.5, 22.0, 36.0, 52.0, 70.0, 95.0, 130.0)
+_RING_MATERIALS = ("pupil", "iris", "eye")  # of the first bands; the rest is as the last
+_ROUND = 16
+_LID_M, _OVERLAP_M = 0.0007, 0.0003  # thickness of a lid on the ball; how far the upper closes over the lower
+_MOUTH_DEPTH_M, _MOUTH_DROP_M = 0.035, 0.006  # by which the middle of the mouth lies back and below when it is wide open (assumed)
+
+Side: TypeAlias = Literal["l", "r"]
+
+
+@dataclass(frozen=True)
+class Face:
+    """What a face does.
+
+    gaze: unit vector of the line of sight, of both eyes, in the head's frame · lids: opening of the left and of the right eye, 0
+    closed to 1 open · expression: its name · units: shares of face units by name (`jawOpen`, `mouthSmileLeft`, ...), 0 to 1.
+    """
+
+    gaze: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    lids: tuple[float, float] = (1.0, 1.0)
+    expression: str = "neutral"
+    units: tuple[tuple[str, float], ...] = ()
+
+
+class Move(NamedTuple):
+    """By how much (N, 3) m some vertices (N,) move."""
+
+    vertex: Ints
+    offset: Floats32
+
+
+class FaceShapes(NamedTuple):
+    """The asset: by name, moves of the skin's vertices, on the average adult. Of both sides where a key has one.
+
+    keys: of shape, midline and crooked ones by name, those of a side as (left, right) · units: of expressions.
+    """
+
+    keys: Mapping[str, Move | tuple[Move, Move]]
+    units: Mapping[str, Move]
+
+
+@cache
+def load_faces() -> FaceShapes:
+    """The packaged asset, read once per process. Raises AssetError where it is missing or damaged."""
+    try:
+        with (files("cabinpose.scene.body") / "assets" / FACES).open("rb") as stream, np.load(stream) as data:
+            names, first = data["names"].tolist(), data["first"].tolist()
+            vertex, offset = data["vertex"].astype(np.int64), (data["offset"] * data["step"]).astype(np.float32)
+            count = int(data["keys"])
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise AssetError(f"the asset {FACES} cannot be read: {error}", hint="install the package again") from error
+    moves = {n: Move(vertex[a:b], offset[a:b]) for n, a, b in zip(names, first[:-1], first[1:], strict=True)}
+    keys = {n: (moves[n], _mirrored(moves[n])) if n.startswith("l-") else moves[n] for n in names[:count]}
+    units = {n: moves[n] for n in names[count:]}
+    units["jawOpen"] = _hollow(units["jawOpen"])
+    units |= {n.removesuffix("Left") + "Right": _mirrored(move) for n, move in units.items() if n.endswith("Left")}
+    return FaceShapes(MappingProxyType(keys), MappingProxyType(units))
+
+
+def _mirrored(move: Move) -> Move:
+    return Move(load_shape_space().mirror[move.vertex].astype(np.int64), move.offset * np.float32((1.0, -1.0, 1.0)))
+
+
+def _hollow(jaw_open: Move) -> Move:
+    """The unit with which the lid of the mouth becomes a hollow."""
+    offset = jaw_open.offset.copy()
+    offset[jaw_open.vertex == _lid_centres()[0]] -= np.float32((_MOUTH_DEPTH_M, 0.0, _MOUTH_DROP_M))
+    return Move(jaw_open.vertex, offset)
+
+
+@cache
+def _usual_eye_distance_m() -> float:
+    heads = load_chart().heads
+    return float(rp.norm(heads["leye"] - heads["reye"]))
+
+
+def with_face(skin: Floats32, heads: Floats, named: Mapping[str, int], number: int) -> Floats32:
+    """A body's skin (V, 3), m, with the face of this number; its keys are as large as the eyes are far apart.
+
+    heads: (H, 3) m, bone heads by the index that `named` gives them.
+    """
+    rng = np.random.Generator(np.random.Philox(key=number))
+    size = float(rp.norm(heads[named["leye"]] - heads[named["reye"]])) / _usual_eye_distance_m()
+    result = skin.copy()
+    for name, key in load_faces().keys.items():
+        common, left, right = np.clip(rng.standard_normal(3), -_MOST, _MOST).tolist()
+        sides = (key,) if isinstance(key, Move) else key
+        own = np.sqrt(1.0 - _BOTH_SIDES)
+        shares = (common,) if len(sides) == 1 else tuple(np.sqrt(_BOTH_SIDES) * common + own * z for z in (left, right))
+        for move, share in zip(sides, shares, strict=True):
+            sd = min(_TYPICAL_M / float(np.abs(move.offset).max()), _MOST_SD) * (_CROOKED if name.startswith("asym") else 1.0)
+            result[move.vertex] += np.float32(size * sd * share) * move.offset
+    return result
+
+
+class _Lids(NamedTuple):
+    """The topology of one eye's lids.
+
+    rim: (28,) vertices around the opening · upper, lower: vertices of its two halves, from corner to corner, those that meet when
+    it closes side by side · moved: vertices that move · near, follows: (M,) of the upper's vertices the one that each of them
+    is nearest to, and how much of its way it goes.
+    """
+
+    rim: Ints
+    upper: Ints
+    lower: Ints
+    moved: Move
+    near: Ints
+    follows: Floats
+
+
+@cache
+def _lid_centres() -> tuple[int, int, int]:
+    """The vertices in the middle of the mouth's lid and of the left and right eye's: the last ones of the skin."""
+    count = load_shape_space().vertex_count
+    rest = load_chart().rest
+    mouth, *eyes = sorted(range(count - 3, count), key=lambda i: abs(rest[i, 1]))
+    left, right = sorted(eyes, key=lambda i: -rest[i, 1])
+    return mouth, left, right
+
+
+def _fan(centre: int) -> Ints:
+    """The rim (N,) of the fan of faces about a vertex, in order."""
+    following = {}
+    for face in load_shape_space().faces:
+        if centre in face:
+            at = int(np.flatnonzero(face == centre)[0])
+            following[int(face[(at + 1) % 3])] = int(face[(at + 2) % 3])
+    loop = [min(following)]
+    while (after := following[loop[-1]]) != loop[0]:
+        loop.append(after)
+    return np.array(loop)
+
+
+@cache
+def _lids(side: Side) -> _Lids:
+    rest, centre = load_chart().rest, _lid_centres()["lr".index(side) + 1]
+    rim = _fan(centre)
+    rim = np.roll(rim, -int(np.argmin(np.abs(rest[rim, 1]))))  # from the inner corner
+    outer = int(np.argmax(np.abs(rest[rim, 1])))
+    halves = rim[1:outer], rim[:outer:-1]
+    upper, lower = sorted(halves, key=lambda half: -float(rest[half, 2].mean()))
+    lower = lower[np.linspace(0, len(lower) - 1, len(upper)).round().astype(int)]
+    blink = load_faces().units[f"eyeBlink{'Left' if side == 'l' else 'Right'}"]
+    down = np.zeros(len(rest))
+    down[blink.vertex] = -blink.offset[:, 2]
+    near = np.argmin(np.abs(rest[blink.vertex, None, 1] - rest[None, upper, 1]), axis=1)
+    follows = np.clip(down[blink.vertex] / np.maximum(down[upper[near]], 1e-4), 0.0, 1.0)
+    return _Lids(rim, upper, lower, blink, near, follows)
+
+
+def _closing(skin: Floats32, centre: Floats, side: Side, size: float) -> Move:
+    """How an eye's lids move until they meet, on a person's skin (V, 3) m: the unit's way, and for each rim what is left of it."""
+    lids = _lids(side)
+    way = np.zeros((len(skin), 3))
+    way[lids.moved.vertex] = size * lids.moved.offset
+    meet = skin[lids.lower] + way[lids.lower]
+    outwards = meet - centre
+    meet = meet + _OVERLAP_M * (outwards / np.linalg.norm(outwards, axis=1)[:, None] - (0.0, 0.0, 1.0))
+    lacks = meet - (skin[lids.upper] + way[lids.upper])
+    way[lids.moved.vertex] += lids.follows[:, None] * lacks[lids.near]
+    way[lids.upper] = meet - skin[lids.upper]
+    vertex = np.union1d(lids.moved.vertex, lids.upper)
+    return Move(vertex, way[vertex].astype(np.float32))
+
+
+class Eyes(NamedTuple):
+    """Where a person's eyes are, left and right: centres (2, 3) and radii (2,), m."""
+
+    centre: Floats
+    radius: Floats
+
+    @classmethod
+    def of(cls, skin: Floats32, centre: Floats) -> Eyes:
+        """Of a skin (V, 3) at rest, with the balls' centres (2, 3): as large as the lids leave room for."""
+        least = [np.linalg.norm(skin[_lids(side).rim] - c, axis=1).min() for side, c in zip(_SIDES, centre, strict=True)]
+        return cls(centre, _BALL * np.array(least))
+
+    def socketed(self, vertices: Floats32, rows: Ints) -> None:
+        """Draw back the middles of the lids' fans into the balls, in place; rows: the cut skin's vertices in `vertices`, in order."""
+        for side, middle in enumerate(_lid_centres()[1:]):
+            vertices[np.searchsorted(rows, middle)] = self.centre[side] + (_SOCKET * self.radius[side], 0.0, 0.0)
+
+    def balls(self) -> Floats:
+        """(2, N, 3) m, vertices of both, looking ahead."""
+        return self.centre[:, None] + self.radius[:, None, None] * ball()[0]
+
+
+_SIDES: tuple[Side, Side] = ("l", "r")
+
+
+@cache
+def ball() -> tuple[Floats, Ints32, tuple[str, ...]]:
+    """Vertices (N, 3) of an eyeball of radius 1 that looks along x, its faces (F, 3), and the material of each."""
+    turn = np.arange(_ROUND) * (2.0 * np.pi / _ROUND)
+    angle = np.radians(_RINGS_DEG)
+    rings = np.stack(
+        [
+            np.repeat(rp.cos(angle)[:, None], _ROUND, axis=1),
+            rp.sin(angle)[:, None] * rp.cos(turn),
+            rp.sin(angle)[:, None] * rp.sin(turn),
+        ],
+        axis=2,
+    )
+    vertices = np.concatenate([[(1.0, 0.0, 0.0)], rings.reshape(-1, 3), [(-1.0, 0.0, 0.0)]])
+    j = np.arange(_ROUND)
+    after, last = (j + 1) % _ROUND, len(vertices) - 1
+    bands = [np.stack([np.zeros_like(j), 1 + j, 1 + after], axis=1)]
+    for ring in range(len(angle) - 1):
+        a, b = 1 + ring * _ROUND, 1 + (ring + 1) * _ROUND
+        bands.append(np.concatenate([np.stack([a + j, b + j, b + after], 1), np.stack([a + j, b + after, a + after], 1)]))
+    end = 1 + (len(angle) - 1) * _ROUND
+    bands.append(np.stack([end + j, np.full_like(j, last), end + after], axis=1))
+    materials = tuple(
+        _RING_MATERIALS[min(k, len(_RING_MATERIALS) - 1)] for k, band in enumerate(bands) for _ in range(len(band))
+    )
+    return vertices, np.concatenate(bands).astype(np.int32), materials
+
+
+@cache
+def mouth_faces() -> Ints:
+    """The faces of the skin that close the mouth."""
+    return np.flatnonzero((load_shape_space().faces == _lid_centres()[0]).any(axis=1))
+
+
+def on_rows(move: Move, rows: Ints) -> Move:
+    """A move of the skin's vertices as one of the rows of a mesh; rows: vertices of the cut skin."""
+    cut, count = cut_skin(), load_shape_space().vertex_count
+    every = np.zeros((count, 3), np.float32)
+    every[move.vertex] = move.offset
+    moved = np.concatenate([every, cut.blend.of(every).astype(np.float32)])[rows]
+    at = np.flatnonzero(moved.any(axis=1))
+    return Move(at, moved[at])
+
+
+class FaceRig:
+    """What moves in a person's face, on the mesh that is seen."""
+
+    def __init__(self, skin: Floats32, eyes: Eyes, rows: Ints, units: Mapping[str, Move], ball_row: int) -> None:
+        """skin: (V, 3) at rest, m · rows: of the mesh, those that are vertices of the cut skin · units: on them ·
+        ball_row: where the eyeballs' vertices begin.
+        """
+        self._eyes, self._units, self._ball_row = eyes, units, ball_row
+        self._size = float(rp.norm(eyes.centre[0] - eyes.centre[1])) / _usual_eye_distance_m()
+        self._closing = [
+            on_rows(_closing(skin, centre, side, self._size), rows) for side, centre in zip(_SIDES, eyes.centre, strict=True)
+        ]
+
+    def move(self, vertices: Floats32, face: Face) -> None:
+        """Make the face on vertices (N, 3) of the mesh at rest, in place."""
+        for name, share in face.units:
+            unit = self._units[name]
+            vertices[unit.vertex] += np.float32(self._size * share) * unit.offset
+        for side, opening in enumerate(face.lids):
+            if opening < 1.0:
+                self._close(vertices, side, 1.0 - opening)
+        yaw, pitch = rp.arctan2(face.gaze[1], face.gaze[0]), rp.arcsin(min(max(face.gaze[2], -1.0), 1.0))
+        turned = rp.matmul(ball()[0], rp.matmul(axis_rotation("z", yaw), axis_rotation("y", -pitch)).T)
+        balls = self._eyes.centre[:, None] + self._eyes.radius[:, None, None] * turned
+        vertices[self._ball_row : self._ball_row + 2 * len(turned)] = balls.reshape(-1, 3)
+
+    def _close(self, vertices: Floats32, side: int, share: float) -> None:
+        """The lids slide over the ball, not through it."""
+        closing = self._closing[side]
+        at = vertices[closing.vertex] + np.float32(share) * closing.offset - self._eyes.centre[side]
+        away = np.sqrt((at * at).sum(axis=1))
+        least = self._eyes.radius[side] + _LID_M
+        vertices[closing.vertex] = self._eyes.centre[side] + at * np.maximum(least / away, 1.0)[:, None]
