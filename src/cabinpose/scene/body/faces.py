@@ -1,7 +1,7 @@
 """Faces: whose they are (`with_face`), and what they do: eyes that turn, lids that close, brows, mouths (`Face`, `FaceRig`).
 
-Shapes and units are MakeHuman's, see `tools/export_faces.py`. Neither moves the skull above the brows, by whose measures bodies are
-made; expressions move what is seen alone, so that nothing else depends on them.
+Shapes and units are MakeHuman's, see `tools/export_faces.py`. Shapes leave the skull above the brows, by whose measures bodies
+are made; units move what is seen alone, so that nothing else depends on them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from cabinpose.core import AssetError, Floats, Floats32, Ints, Ints32, axis_rota
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.parts import cut_skin
-from cabinpose.scene.body.phenotype import Phenotype
 from cabinpose.scene.body.shape import load_shape_space
 
 FACES = "faces.npz"  # beside the body's assets
@@ -31,14 +30,15 @@ _TYPICAL_M, _MOST_SD, _BOTH_SIDES, _CROOKED = 0.0022, 0.45, 0.85, 0.5
 _MOST = 2.0  # standard deviations
 
 # Eyes, of the data's oversized balls: the radius where lids lie on them, as a share of the rims' least distance from the middle.
-_BALL, _SOCKET = 0.965, 0.55
+_BALL, _SOCKET = 0.965, 0.15
 # Edges of pupil and iris as angles from the line of sight: an iris of 11.7 mm (the usual width of a cornea), a pupil of 4 mm
 # (assumed) on the ball of the average adult, whose rims leave as much of it open as is usual. Then the ball, to its back.
 _RINGS_DEG = (7.5, 22.0, 36.0, 52.0, 70.0, 95.0, 130.0)
 _RING_MATERIALS = ("pupil", "iris", "eye")  # of the first bands; the rest is as the last
 _ROUND = 16
 _LID_M, _OVERLAP_M = 0.0007, 0.0003  # thickness of a lid on the ball; how far the upper closes over the lower
-_MOUTH_DEPTH_M, _MOUTH_DROP_M = 0.035, 0.006  # by which the middle of the mouth lies back and below when it is wide open (assumed)
+_HOLLOW_M = (0.035, 0.0, 0.006)  # by which the middle of the mouth goes back and down when it is wide open (assumed)
+_LIPS_CLOSE = 0.8  # of the gap between them that the data have
 
 Side: TypeAlias = Literal["l", "r"]
 
@@ -93,13 +93,13 @@ def load_faces() -> FaceShapes:
 
 
 def _mirrored(move: Move) -> Move:
-    return Move(load_shape_space().mirror[move.vertex].astype(np.int64), move.offset * np.float32((1.0, -1.0, 1.0)))
+    return Move(load_shape_space().mirror[move.vertex].astype(np.int64), move.offset * np.array((1.0, -1.0, 1.0), np.float32))
 
 
 def _hollow(jaw_open: Move) -> Move:
     """The unit with which the lid of the mouth becomes a hollow."""
     offset = jaw_open.offset.copy()
-    offset[jaw_open.vertex == _lid_centres()[0]] -= np.float32((_MOUTH_DEPTH_M, 0.0, _MOUTH_DROP_M))
+    offset[jaw_open.vertex == _lid_centres()[0]] -= np.array(_HOLLOW_M, np.float32)
     return Move(jaw_open.vertex, offset)
 
 
@@ -131,9 +131,9 @@ def with_face(skin: Floats32, heads: Floats, named: Mapping[str, int], number: i
 class _Lids(NamedTuple):
     """The topology of one eye's lids.
 
-    rim: (28,) vertices around the opening · upper, lower: vertices of its two halves, from corner to corner, those that meet when
-    it closes side by side · moved: vertices that move · near, follows: (M,) of the upper's vertices the one that each of them
-    is nearest to, and how much of its way it goes.
+    rim: (28,) vertices around the opening · upper, lower: those of its halves, from right to left, the lower with the corners ·
+    moved: as in the unit · near, follows: (M,) the one of the upper vertices that each of these is nearest to, and how much of
+    its way it goes.
     """
 
     rim: Ints
@@ -167,15 +167,35 @@ def _fan(centre: int) -> Ints:
     return np.array(loop)
 
 
+def _halves(rim: Ints) -> tuple[Ints, Ints]:
+    """The upper half of a rim, without its corners, and the lower one with them, each from right to left."""
+    rest = load_chart().rest
+    rim = np.roll(rim, -int(np.argmin(rest[rim, 1])))
+    corner = int(np.argmax(rest[rim, 1]))
+    one, other = rim[: corner + 1], np.roll(rim, -1)[: corner - 1 : -1]
+    upper, lower = sorted((one, other), key=lambda half: -float(rest[half, 2].mean()))
+    return upper[1:-1], lower
+
+
+def _beside(these: Ints, others: Ints, points: Floats) -> Floats:
+    """What lies beside the vertices `these` (N,), above or below, on the line through others (M,) that are at points (M, 3)."""
+    aside = load_chart().rest[:, 1]
+    return np.stack([np.interp(aside[these], aside[others], points[:, k]) for k in range(3)], axis=1)
+
+
+def close_lips(vertices: Floats32, rows: Ints) -> None:
+    """Bring the lips together, in place; rows: the first of `vertices` on the cut skin."""
+    upper, lower = _halves(_fan(_lid_centres()[0]))
+    lips = np.concatenate([lower[:1], upper, lower[-1:]]), lower
+    at = [vertices[np.searchsorted(rows, lip)] for lip in lips]
+    for this, other, own, points in zip(lips, lips[::-1], at, at[::-1], strict=True):
+        vertices[np.searchsorted(rows, this)] = own + _LIPS_CLOSE / 2.0 * (_beside(this, other, points) - own)
+
+
 @cache
 def _lids(side: Side) -> _Lids:
-    rest, centre = load_chart().rest, _lid_centres()["lr".index(side) + 1]
-    rim = _fan(centre)
-    rim = np.roll(rim, -int(np.argmin(np.abs(rest[rim, 1]))))  # from the inner corner
-    outer = int(np.argmax(np.abs(rest[rim, 1])))
-    halves = rim[1:outer], rim[:outer:-1]
-    upper, lower = sorted(halves, key=lambda half: -float(rest[half, 2].mean()))
-    lower = lower[np.linspace(0, len(lower) - 1, len(upper)).round().astype(int)]
+    rest, rim = load_chart().rest, _fan(_lid_centres()["lr".index(side) + 1])
+    upper, lower = _halves(rim)
     blink = load_faces().units[f"eyeBlink{'Left' if side == 'l' else 'Right'}"]
     down = np.zeros(len(rest))
     down[blink.vertex] = -blink.offset[:, 2]
@@ -185,11 +205,11 @@ def _lids(side: Side) -> _Lids:
 
 
 def _closing(skin: Floats32, centre: Floats, side: Side, size: float) -> Move:
-    """How an eye's lids move until they meet, on a person's skin (V, 3) m: the unit's way, and for each rim what is left of it."""
+    """How an eye's lids move until they meet, on a person's skin (V, 3) m: as in the unit, and on by what is left."""
     lids = _lids(side)
     way = np.zeros((len(skin), 3))
     way[lids.moved.vertex] = size * lids.moved.offset
-    meet = skin[lids.lower] + way[lids.lower]
+    meet = _beside(lids.upper, lids.lower, skin[lids.lower] + way[lids.lower])
     outwards = meet - centre
     meet = meet + _OVERLAP_M * (outwards / np.linalg.norm(outwards, axis=1)[:, None] - (0.0, 0.0, 1.0))
     lacks = meet - (skin[lids.upper] + way[lids.upper])
@@ -211,8 +231,8 @@ class Eyes(NamedTuple):
         least = [np.linalg.norm(skin[_lids(side).rim] - c, axis=1).min() for side, c in zip(_SIDES, centre, strict=True)]
         return cls(centre, _BALL * np.array(least))
 
-    def socketed(self, vertices: Floats32, rows: Ints) -> None:
-        """Draw back the middles of the lids' fans into the balls, in place; rows: the cut skin's vertices in `vertices`, in order."""
+    def make_sockets(self, vertices: Floats32, rows: Ints) -> None:
+        """Draw back the middles of the lids' fans into the balls, in place; rows: the first of `vertices` on the cut skin."""
         for side, middle in enumerate(_lid_centres()[1:]):
             vertices[np.searchsorted(rows, middle)] = self.centre[side] + (_SOCKET * self.radius[side], 0.0, 0.0)
 
@@ -246,9 +266,8 @@ def ball() -> tuple[Floats, Ints32, tuple[str, ...]]:
         bands.append(np.concatenate([np.stack([a + j, b + j, b + after], 1), np.stack([a + j, b + after, a + after], 1)]))
     end = 1 + (len(angle) - 1) * _ROUND
     bands.append(np.stack([end + j, np.full_like(j, last), end + after], axis=1))
-    materials = tuple(
-        _RING_MATERIALS[min(k, len(_RING_MATERIALS) - 1)] for k, band in enumerate(bands) for _ in range(len(band))
-    )
+    of_band = (*_RING_MATERIALS, *[_RING_MATERIALS[-1]] * (len(bands) - len(_RING_MATERIALS)))
+    materials = tuple(name for name, band in zip(of_band, bands, strict=True) for _ in range(len(band)))
     return vertices, np.concatenate(bands).astype(np.int32), materials
 
 
@@ -261,9 +280,9 @@ def mouth_faces() -> Ints:
 def on_rows(move: Move, rows: Ints) -> Move:
     """A move of the skin's vertices as one of the rows of a mesh; rows: vertices of the cut skin."""
     cut, count = cut_skin(), load_shape_space().vertex_count
-    every = np.zeros((count, 3), np.float32)
+    every = np.zeros((count, 3))
     every[move.vertex] = move.offset
-    moved = np.concatenate([every, cut.blend.of(every).astype(np.float32)])[rows]
+    moved = np.concatenate([every, cut.blend.of(every)])[rows].astype(np.float32)
     at = np.flatnonzero(moved.any(axis=1))
     return Move(at, moved[at])
 
@@ -283,7 +302,7 @@ class FaceRig:
 
     def move(self, vertices: Floats32, face: Face) -> None:
         """Make the face on vertices (N, 3) of the mesh at rest, in place."""
-        for name, share in face.units:
+        for name, share in sorted(face.units):
             unit = self._units[name]
             vertices[unit.vertex] += np.float32(self._size * share) * unit.offset
         for side, opening in enumerate(face.lids):
