@@ -194,9 +194,11 @@ def close_lips(vertices: Floats32, rows: Ints) -> None:
 
 @cache
 def _lids(side: Side) -> _Lids:
-    rest, rim = load_chart().rest, _fan(_lid_centres()["lr".index(side) + 1])
+    rest, middle = load_chart().rest, _lid_centres()["lr".index(side) + 1]
+    rim = _fan(middle)
     upper, lower = _halves(rim)
     blink = load_faces().units[f"eyeBlink{'Left' if side == 'l' else 'Right'}"]
+    blink = Move(blink.vertex[blink.vertex != middle], blink.offset[blink.vertex != middle])  # which is in the ball
     down = np.zeros(len(rest))
     down[blink.vertex] = -blink.offset[:, 2]
     near = np.argmin(np.abs(rest[blink.vertex, None, 1] - rest[None, upper, 1]), axis=1)
