@@ -140,7 +140,7 @@ def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:
     colours[material == MATERIAL["hair"]] = hair
     colours[label == LABEL["headwear"]] = cap
     colours[(label == LABEL["glasses"])] = linear(0x191817)
-    colours[dressed.is_lip & (material == MATERIAL["skin"])] = skin * (0.85, 0.52, 0.5) + (0.02, 0.0, 0.0)
+    colours[dressed.is_lip & (material == MATERIAL["skin"])] = skin * (0.92, 0.62, 0.6) + (0.004, 0.0, 0.0)
     for name, colour in {
         "eye": np.minimum(0.45, 0.25 + 0.4 * skin) * (1.0, 0.93, 0.9), "iris": _weighted(_IRISES if at < 5 else _IRISES[:2], rng),
         "pupil": linear(0x0A0908), "mouth": linear(0x5A1F22),
