@@ -91,7 +91,7 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
         material[covered] = materials.MATERIAL_ID[name]
         if is_label is not None:
             label[covered] = labels.LABEL_ID[is_label]
-    material[np.isin(cut.source, mouth_faces())] = materials.MATERIAL_ID["mouth"]
+    material[mouth_faces()] = materials.MATERIAL_ID["mouth"]
     shod = outfit.shoes != "none"
     seen, eyes = _seen(shod=shod), Eyes.of(skin, eye_centres)
     surface = worn.vertices[seen.vertex]

@@ -154,13 +154,12 @@ def _lid_centres() -> tuple[int, int, int]:
     return mouth, left, right
 
 
+@cache
 def _fan(centre: int) -> Ints:
     """The rim (N,) of the fan of faces about a vertex, in order."""
-    following = {}
-    for face in load_shape_space().faces:
-        if centre in face:
-            at = int(np.flatnonzero(face == centre)[0])
-            following[int(face[(at + 1) % 3])] = int(face[(at + 2) % 3])
+    faces = load_shape_space().faces
+    of_fan, at = np.nonzero(faces == centre)
+    following = dict(zip(faces[of_fan, (at + 1) % 3].tolist(), faces[of_fan, (at + 2) % 3].tolist(), strict=True))
     loop = [min(following)]
     while (after := following[loop[-1]]) != loop[0]:
         loop.append(after)
@@ -275,8 +274,8 @@ def ball() -> tuple[Floats, Ints32, tuple[str, ...]]:
 
 @cache
 def mouth_faces() -> Ints:
-    """The faces of the skin that close the mouth."""
-    return np.flatnonzero((load_shape_space().faces == _lid_centres()[0]).any(axis=1))
+    """The faces of the cut skin that close the mouth."""
+    return np.flatnonzero((load_shape_space().faces == _lid_centres()[0]).any(axis=1)[cut_skin().source])
 
 
 def on_rows(move: Move, rows: Ints) -> Move:
