@@ -2,7 +2,7 @@
 
     python tools/make_faces.py --out docs/images/faces.webp
 
-From top to bottom: amplitude (reflectance at 850 nm times the cosine of incidence), depth (bright is near), and colour in diffuse light
+From top to bottom: amplitude (reflectance at 850 nm times the cosine of incidence), depth (bright is near), and colour, lit
 from the camera. A head at the distance of a camera in a car has a tenth of these pixels.
 """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Literal
@@ -11,6 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError, is_rigid, unknown_name
+from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import Face, load_faces
 from cabinpose.scene.cabin import BeltWear
 from cabinpose.scene.things import THINGS, Attachment, PlacedThing, make_thing
@@ -42,7 +42,7 @@ class ExactFace(Model):
     @field_validator("gaze")
     @classmethod
     def _unit(cls, gaze: tuple[float, float, float]) -> tuple[float, float, float]:
-        if abs(math.hypot(*gaze) - 1.0) > _UNIT_SLACK:
+        if abs(rp.norm(np.array(gaze)) - 1.0) > _UNIT_SLACK:
             raise ValueError("Input should be a unit vector")
         return gaze
 

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cabinpose.core import AssetError, Floats, Floats32, Ints, Ints32, axis_rotation
 from cabinpose.core import reproducible as rp
@@ -176,7 +177,7 @@ def _halves(rim: Ints) -> tuple[Ints, Ints]:
     return upper[1:-1], lower
 
 
-def _beside(these: Ints, others: Ints, points: Floats) -> Floats:
+def _beside(these: Ints, others: Ints, points: NDArray[np.floating]) -> Floats:
     """What lies beside the vertices `these` (N,), above or below, on the line through others (M,) that are at points (M, 3)."""
     aside = load_chart().rest[:, 1]
     return np.stack([np.interp(aside[these], aside[others], points[:, k]) for k in range(3)], axis=1)
