@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +11,7 @@ import numpy as np
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import SHOE_MATERIAL, Accessory, accessories, foot_faces_hidden
-from cabinpose.scene.body.faces import Eyes, FaceRig, Move, ball, close_lips, load_faces, mouth_faces, on_rows
+from cabinpose.scene.body.faces import Eyes, FaceMesh, FaceRig, ball, close_lips, mouth_faces
 from cabinpose.scene.body.garments import BOTTOMS, TOPS, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
@@ -63,9 +61,8 @@ def _seen(*, shod: bool) -> _Seen:
 
 
 @cache
-def _units(*, shod: bool) -> Mapping[str, Move]:
-    """The face units on the vertices that are seen."""
-    return MappingProxyType({name: on_rows(move, _seen(shod=shod).vertex) for name, move in load_faces().units.items()})
+def _face_mesh(*, shod: bool) -> FaceMesh:
+    return FaceMesh.of(_seen(shod=shod).vertex)
 
 
 def _eyeballs(eyes: Eyes) -> Accessory:
@@ -122,7 +119,7 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
     return Dressed(
         np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
         np.concatenate(all_labels), np.concatenate(all_materials), is_top, is_lip,
-        FaceRig(skin, eyes, seen.vertex, _units(shod=shod), len(seen.vertex)),
+        FaceRig(skin, eyes, _face_mesh(shod=shod)),
     )  # fmt: skip
 
 

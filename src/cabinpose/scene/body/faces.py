@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cabinpose.core import AssetError, Floats, Floats32, Ints, Ints32, axis_rotation
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
-from cabinpose.scene.body.parts import cut_skin
+from cabinpose.scene.body.parts import Blend, cut_skin
 from cabinpose.scene.body.shape import load_shape_space
 
 FACES = "faces.npz"  # beside the body's assets
@@ -34,9 +34,9 @@ _MOST = 2.0  # standard deviations
 _BALL, _SOCKET = 0.965, 0.15
 # Edges of pupil and iris as angles from the line of sight: an iris of 11.7 mm (the usual width of a cornea), a pupil of 4 mm
 # (assumed) on the ball of the average adult, whose rims leave as much of it open as is usual. Then the ball, to its back.
-_RINGS_DEG = (7.5, 22.0, 36.0, 52.0, 70.0, 95.0, 130.0)
+_RINGS_DEG = (7.5, 22.0, 40.0, 65.0, 100.0)
 _RING_MATERIALS = ("pupil", "iris", "eye")  # of the first bands; the rest is as the last
-_ROUND = 16
+_ROUND = 12
 _LID_M, _OVERLAP_M = 0.0007, 0.0003  # thickness of a lid on the ball; how far the upper closes over the lower
 _HOLLOW_M = (0.035, 0.0, 0.006)  # by which the middle of the mouth goes back and down when it is wide open (assumed)
 _LIPS_CLOSE = 0.8  # of the gap between them that the data have
@@ -110,6 +110,17 @@ def _usual_eye_distance_m() -> float:
     return float(rp.norm(heads["leye"] - heads["reye"]))
 
 
+@cache
+def _key_moves() -> tuple[tuple[Move, ...], ...]:
+    """Of each key, of its one or two sides, the move that a standard deviation makes."""
+    result = []
+    for name, key in load_faces().keys.items():
+        sides = (key,) if isinstance(key, Move) else key
+        sd = min(_TYPICAL_M / float(np.abs(sides[0].offset).max()), _MOST_SD) * (_CROOKED if name.startswith("asym") else 1.0)
+        result.append(tuple(Move(side.vertex, np.float32(sd) * side.offset) for side in sides))
+    return tuple(result)
+
+
 def with_face(skin: Floats32, heads: Floats, named: Mapping[str, int], number: int) -> Floats32:
     """A body's skin (V, 3), m, with the face of this number; its keys are as large as the eyes are far apart.
 
@@ -117,15 +128,12 @@ def with_face(skin: Floats32, heads: Floats, named: Mapping[str, int], number: i
     """
     rng = np.random.Generator(np.random.Philox(key=number))
     size = float(rp.norm(heads[named["leye"]] - heads[named["reye"]])) / _usual_eye_distance_m()
-    result = skin.copy()
-    for name, key in load_faces().keys.items():
-        common, left, right = np.clip(rng.standard_normal(3), -_MOST, _MOST).tolist()
-        sides = (key,) if isinstance(key, Move) else key
-        own = np.sqrt(1.0 - _BOTH_SIDES)
-        shares = (common,) if len(sides) == 1 else tuple(np.sqrt(_BOTH_SIDES) * common + own * z for z in (left, right))
-        for move, share in zip(sides, shares, strict=True):
-            sd = min(_TYPICAL_M / float(np.abs(move.offset).max()), _MOST_SD) * (_CROOKED if name.startswith("asym") else 1.0)
-            result[move.vertex] += np.float32(size * sd * share) * move.offset
+    keys, result = _key_moves(), skin.copy()
+    z = size * np.clip(rng.standard_normal((len(keys), 3)), -_MOST, _MOST)  # of both sides, of the left, of the right
+    sides = np.sqrt(_BOTH_SIDES) * z[:, :1] + np.sqrt(1.0 - _BOTH_SIDES) * z[:, 1:]
+    for moves, both, own in zip(keys, z[:, 0].astype(np.float32), sides.astype(np.float32), strict=True):
+        for move, share in zip(moves, own if len(moves) == 2 else (both,), strict=True):
+            result[move.vertex] += share * move.offset
     return result
 
 
@@ -206,8 +214,8 @@ def _lids(side: Side) -> _Lids:
     return _Lids(rim, upper, lower, blink, near, follows)
 
 
-def _closing(skin: Floats32, centre: Floats, side: Side, size: float) -> Move:
-    """How an eye's lids move until they meet, on a person's skin (V, 3) m: as in the unit, and on by what is left."""
+def _closing(skin: Floats32, centre: Floats, side: Side, size: float) -> Floats:
+    """(V, 3) m, how an eye's lids move until they meet, on a person's skin (V, 3): as in the unit, and on by what is left."""
     lids = _lids(side)
     way = np.zeros((len(skin), 3))
     way[lids.moved.vertex] = size * lids.moved.offset
@@ -217,8 +225,7 @@ def _closing(skin: Floats32, centre: Floats, side: Side, size: float) -> Move:
     lacks = meet - (skin[lids.upper] + way[lids.upper])
     way[lids.moved.vertex] += lids.follows[:, None] * lacks[lids.near]
     way[lids.upper] = meet - skin[lids.upper]
-    vertex = np.union1d(lids.moved.vertex, lids.upper)
-    return Move(vertex, way[vertex].astype(np.float32))
+    return way
 
 
 class Eyes(NamedTuple):
@@ -279,33 +286,59 @@ def mouth_faces() -> Ints:
     return np.flatnonzero((load_shape_space().faces == _lid_centres()[0]).any(axis=1)[cut_skin().source])
 
 
-def on_rows(move: Move, rows: Ints) -> Move:
-    """A move of the skin's vertices as one of the rows of a mesh; rows: vertices of the cut skin."""
-    cut, count = cut_skin(), load_shape_space().vertex_count
-    every = np.zeros((count, 3))
-    every[move.vertex] = move.offset
-    moved = np.concatenate([every, cut.blend.of(every)])[rows].astype(np.float32)
-    at = np.flatnonzero(moved.any(axis=1))
-    return Move(at, moved[at])
+class FaceMesh(NamedTuple):
+    """Where a face is on a mesh that is seen.
+
+    units: moves of its vertices · lids: of the left and right eye, the vertices that closing moves, as blends of the skin's ·
+    balls: the first of the eyeballs' vertices.
+    """
+
+    units: Mapping[str, Move]
+    lids: tuple[tuple[Ints, Blend], tuple[Ints, Blend]]
+    balls: int
+
+    @classmethod
+    def of(cls, rows: Ints) -> FaceMesh:
+        """Of the mesh whose vertices are these (R,) of the cut skin, then the eyeballs'."""
+        cut, count = cut_skin(), load_shape_space().vertex_count
+        own = np.repeat(np.arange(count)[:, None], 3, axis=1)
+        blend = Blend(
+            np.concatenate([own, cut.blend.parents])[rows].astype(np.int32),
+            np.concatenate([np.tile((1.0, 0.0, 0.0), (count, 1)), cut.blend.weights])[rows],
+        )
+        units = {}
+        for name, move in load_faces().units.items():
+            every = np.zeros((count, 3))
+            every[move.vertex] = move.offset
+            moved = blend.of(every).astype(np.float32)
+            at = np.flatnonzero(moved.any(axis=1))
+            units[name] = Move(at, moved[at])
+
+        def lid(side: Side) -> tuple[Ints, Blend]:
+            moves = np.zeros(count)
+            moves[[*_lids(side).moved.vertex, *_lids(side).upper]] = 1.0
+            at = np.flatnonzero(blend.of(moves))
+            return at, blend[at]
+
+        return cls(MappingProxyType(units), (lid("l"), lid("r")), len(rows))
 
 
 class FaceRig:
     """What moves in a person's face, on the mesh that is seen."""
 
-    def __init__(self, skin: Floats32, eyes: Eyes, rows: Ints, units: Mapping[str, Move], ball_row: int) -> None:
-        """skin: (V, 3) at rest, m · rows: of the mesh, those that are vertices of the cut skin · units: on them ·
-        ball_row: where the eyeballs' vertices begin.
-        """
-        self._eyes, self._units, self._ball_row = eyes, units, ball_row
+    def __init__(self, skin: Floats32, eyes: Eyes, mesh: FaceMesh) -> None:
+        """skin: (V, 3) at rest, m."""
+        self._eyes, self._mesh = eyes, mesh
         self._size = float(rp.norm(eyes.centre[0] - eyes.centre[1])) / _usual_eye_distance_m()
         self._closing = [
-            on_rows(_closing(skin, centre, side, self._size), rows) for side, centre in zip(_SIDES, eyes.centre, strict=True)
+            Move(at, blend.of(_closing(skin, centre, side, self._size)).astype(np.float32))
+            for side, centre, (at, blend) in zip(_SIDES, eyes.centre, mesh.lids, strict=True)
         ]
 
     def move(self, vertices: Floats32, face: Face) -> None:
         """Make the face on vertices (N, 3) of the mesh at rest, in place."""
         for name, share in sorted(face.units):
-            unit = self._units[name]
+            unit = self._mesh.units[name]
             vertices[unit.vertex] += np.float32(self._size * share) * unit.offset
         for side, opening in enumerate(face.lids):
             if opening < 1.0:
@@ -313,7 +346,7 @@ class FaceRig:
         yaw, pitch = rp.arctan2(face.gaze[1], face.gaze[0]), rp.arcsin(min(max(face.gaze[2], -1.0), 1.0))
         turned = rp.matmul(ball()[0], rp.matmul(axis_rotation("z", yaw), axis_rotation("y", -pitch)).T)
         balls = self._eyes.centre[:, None] + self._eyes.radius[:, None, None] * turned
-        vertices[self._ball_row : self._ball_row + 2 * len(turned)] = balls.reshape(-1, 3)
+        vertices[self._mesh.balls : self._mesh.balls + 2 * len(turned)] = balls.reshape(-1, 3)
 
     def _close(self, vertices: Floats32, side: int, share: float) -> None:
         """The lids slide over the ball, not through it."""
