@@ -123,3 +123,22 @@ def test_a_face_that_is_given_is_kept(scene: Scene) -> None:
 def test_what_no_face_does_is_refused(key: str, value: object, said: str) -> None:
     with pytest.raises((ConfigError, ValueError), match=said):
         ExactFace(**{"gaze": (1.0, 0.0, 0.0), "lids": (1.0, 1.0), key: value})
+
+
+def test_lids_stay_closed_in_sequences_and_expressions_stay() -> None:
+    occupants = {"driver": {"subject": "S01"}, "front_passenger": {"subject": "S02", "action": "sleep"}}
+    scene = {
+        "occupancy": {},
+        "occupants": occupants,
+        "sequence": {"frames": 4, "rate_hz": 10.0, "activities": ["steer", "sleep"]},
+    }
+    sampler = SceneSampler(small_config(**scene), 2)
+    asleep, expressions = set(), set()
+    for index in range(4):
+        for person in sampler.sample(index, rng=frame_rng(2, index)).people:
+            expressions.add((person.slot, person.action == "sleep", person.face.expression, person.face.units))
+            if person.action == "sleep":
+                asleep.add(person.slot)
+            assert (person.face.lids == (0.0, 0.0)) == (person.action == "sleep")
+    assert "front_passenger" in asleep
+    assert len(expressions) == len({each[:2] for each in expressions})

@@ -34,8 +34,8 @@ Matrix4 = Annotated[tuple[tuple[float, float, float, float], ...], AfterValidato
 class ExactFace(Model):
     """What somebody's face does, to the last bit."""
 
-    gaze: tuple[float, float, float] = Field(description="Unit vector of the line of sight in the head: ahead, left, up.")
-    lids: tuple[Probability, Probability] = Field(description="Opening of the left and right eye, 0 closed to 1 open.")
+    gaze: tuple[float, float, float] = Field((1.0, 0.0, 0.0), description="Unit vector of the line of sight: ahead, left, up.")
+    lids: tuple[Probability, Probability] = Field((1.0, 1.0), description="Opening of the left and right eye, 0 to 1.")
     expression: str = Field("neutral", description="Its name, as it is labelled.")
     units: Mapping[str, Probability] = Field({}, description="Shares of face units, e.g. jawOpen: 0.4.")
 
