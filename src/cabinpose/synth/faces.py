@@ -37,12 +37,12 @@ EXPRESSIONS: Mapping[str, Expression] = MappingProxyType(
     {
         "neutral": Expression(0.62, {}),
         "talking": Expression(0.18, {"jawOpen": (0.05, 0.35), "mouthFunnel": (0.0, 0.4), "mouthLowerDown": (0.0, 0.5)}),
-        "smiling": Expression(0.10, {"mouthSmile": (0.3, 0.8), "cheekSquint": (0.1, 0.5), "eyeSquint": (0.0, 0.4)}),
+        "smiling": Expression(0.10, {"mouthSmile": (0.3, 0.8), "cheekSquint": (0.1, 0.5)}, 0.92),
         "laughing": Expression(
-            0.03, {"mouthSmile": (0.6, 0.9), "jawOpen": (0.15, 0.4), "mouthUpperUp": (0.1, 0.5), "cheekSquint": (0.4, 0.8)}
+            0.03, {"mouthSmile": (0.6, 0.9), "jawOpen": (0.15, 0.4), "mouthUpperUp": (0.1, 0.5), "cheekSquint": (0.4, 0.8)}, 0.85
         ),
         "frowning": Expression(0.04, {"browDown": (0.4, 0.9), "mouthFrown": (0.1, 0.6)}),
-        "yawning": Expression(0.03, {"jawOpen": (0.6, 1.0), "eyeSquint": (0.3, 0.8), "browInnerUp": (0.0, 0.4)}, 0.75),
+        "yawning": Expression(0.03, {"jawOpen": (0.6, 1.0), "browInnerUp": (0.0, 0.4)}, 0.83),
     }
 )  # fmt: skip
 _ASLEEP = {"neutral": Expression(0.7, {}), "mouth_open": Expression(0.3, {"jawOpen": (0.08, 0.35)})}
