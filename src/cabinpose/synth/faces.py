@@ -15,7 +15,7 @@ import numpy as np
 
 from cabinpose.core import Floats
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import BONE_INDEX, Face
+from cabinpose.scene.body import BONE_INDEX, Face, load_faces
 from cabinpose.scene.cabin import Cabin
 from cabinpose.synth.gaze import ASLEEP, line_of_sight
 from cabinpose.synth.scene import ScenePerson
@@ -52,6 +52,7 @@ DROWSY_OPENING = 0.7  # of the lids, below which somebody awake is drowsy
 # By which eyes turn in the head: 55 deg to the sides (Guitton & Volle 1987); up and down assumed.
 _SIDEWAYS, _UP, _DOWN = math.radians(55.0), math.radians(35.0), math.radians(45.0)
 _BUSY_MOUTH_M = 0.25  # from the eyes to a palm, of a hand at the mouth or the face, which then is neutral (assumed)
+_TALKS_YEARS = 1.0
 _DRAWS = 16
 
 
@@ -79,10 +80,12 @@ def _drawn(person: ScenePerson, cabin: Cabin | None, *, rng: np.random.Generator
     posed = person.posed
     if min(rp.norm(posed.palms[side][:3, 3] - posed.eyes_m) for side in "lr") < _BUSY_MOUTH_M:
         name = "neutral"
+    if name == "talking" and person.person.phenotype.years < _TALKS_YEARS:
+        name = "neutral"
     units = []
     for k, (unit, (low, high)) in enumerate(among[name].units.items()):
         share = low + u[3 + k] * (high - low)
-        if unit.startswith(("jaw", "browInner", "mouthFunnel")):
+        if unit in load_faces().units:
             units.append((unit, share))
             continue
         differ = _SIDES_DIFFER * (u[8 + k] - 0.5)
