@@ -53,6 +53,7 @@ ROUGHNESS: Mapping[int, float] = MappingProxyType(
         for name, alpha in (
             ("skin", 0.55), ("leather_shoe", 0.2), ("seat_leather", 0.32), ("soft_trim", 0.45), ("hard_plastic", 0.28),
             ("metal", 0.15), ("rubber", 0.5), ("steering_leather", 0.35),
+            ("eye", 0.1), ("iris", 0.1), ("pupil", 0.1), ("mouth", 0.3),
         )
     }
 )  # fmt: skip
