@@ -366,6 +366,31 @@ def drivers(scale: float) -> Iterator[list[str]]:
             ]
 
 
+def face_measures(person: Person) -> list[float]:
+    """Of the bare skin, mm: root of the nose to chin, breadth of the nose, breadth of the mouth, length of the left ear."""
+    chart, skin = load_chart(), 1000.0 * person.rest_skin.astype(np.float64)
+    x, y, z = 1000.0 * (chart.rest - (chart.heads["leye"] + chart.heads["reye"]) / 2).T
+    face, middle = chart.head > 0.9, np.abs(y) < 0.1
+    root, chin = face & middle & (x > 20) & (np.abs(z) < 12), face & middle & (x > 10) & (z < -80)
+    wings = face & (np.abs(y) < 24) & (x > 16) & (z > -50) & (z < -34)
+    lips = face & (np.abs(y) < 25) & (x > 20) & (z > -76) & (z < -70)
+    ear = face & (y > 68) & (np.abs(x + 85) < 30) & (np.abs(z + 19) < 37)
+    return [
+        skin[root][np.argmin(skin[root, 0]), 2] - skin[chin, 2].min(),
+        *(float(np.ptp(skin[part, axis])) for part, axis in ((wings, 1), (lips, 1), (ear, 2))),
+    ]
+
+
+def faces(scale: float) -> Iterator[list[str]]:
+    """How faces of one head differ."""
+    count = max(int(300 * scale), 2)
+    at = np.array([face_measures(BodyModel.load().person(Phenotype(face=number))) for number in range(1, count + 1)])
+    names = "chin to root of the nose", "breadth of the nose", "breadth of the mouth", "length of the ear"
+    yield ["measure", "the data's own, mm", "mean, mm", "SD, mm"]
+    for name, own, values in zip(names, face_measures(BodyModel.load().person(Phenotype())), at.T, strict=True):
+        yield [name, f"{own:.1f}", f"{values.mean():.1f}", f"{values.std(ddof=1):.1f}"]
+
+
 TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "draws": draws,
     "bands": draws_by_band,
@@ -379,6 +404,7 @@ TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "child joints": child_joints,
     "hips": hips,
     "drivers": drivers,
+    "faces": faces,
 }
 
 

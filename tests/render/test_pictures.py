@@ -249,6 +249,24 @@ def test_people_keep_their_looks_and_differ() -> None:
     assert all(np.abs(a - b).max() > 0.01 for k, a in enumerate(skins) for b in skins[k + 1 :])
 
 
+@pytest.mark.parametrize("number", range(3))
+def test_eyes_lips_and_mouths_have_colours_of_what_they_are(number: int) -> None:
+    """Whites of eyes are brighter than irises, those than pupils; lips are redder than skin, mouths red, brows as hair."""
+    from cabinpose.scene.body import SUBJECTS, BodyModel
+
+    p = BodyModel.load().person(*SUBJECTS["S02"])
+    colours = person_colours(p, rng=own_rng(number, "x"))
+    of = {m.name: colours[p.dressed.material == m.id] for m in MATERIALS}
+    eye, iris, pupil, mouth = (np.median(of[name], axis=0) for name in ("eye", "iris", "pupil", "mouth"))
+    assert eye.min() > 1.2 * iris.max()
+    assert iris.max() > 2.0 * pupil.max()
+    assert mouth[0] > 2.0 * mouth[1:].max()
+    lips, skin = (np.median(colours[(p.dressed.material == 1) & (p.dressed.is_lip == lip)], axis=0) for lip in (True, False))
+    assert lips[0] / lips[1] > 1.2 * skin[0] / skin[1]
+    hair = of["hair"] / np.median(of["hair"], axis=0)
+    assert np.ptp(hair, axis=0).max() < 0.11  # brows and the head's
+
+
 def test_garments_have_one_colour_each() -> None:
     from cabinpose.scene.body import BodyModel, Outfit, Phenotype
 

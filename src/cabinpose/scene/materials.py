@@ -43,6 +43,10 @@ MATERIALS: tuple[Material, ...] = (
     Material(19, "painted_wall", 0.75),
     Material(20, "wood", 0.50),
     Material(21, "steering_leather", 0.15),
+    Material(30, "eye", 0.40),  # the white of it, darker than skin; of eyes and mouths all are assumed
+    Material(31, "iris", 0.35),
+    Material(32, "pupil", 0.04),
+    Material(33, "mouth", 0.25),
     Material(40, "cardboard", 0.60),
     Material(41, "paper", 0.75),
 )

@@ -11,6 +11,7 @@ from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import place_name
 from cabinpose.synth.casting import Cast, Casting
 from cabinpose.synth.config import CabinScene, SynthConfig
+from cabinpose.synth.faces import with_faces
 from cabinpose.synth.furnishing import Furnishing
 from cabinpose.synth.plan import Plan
 from cabinpose.synth.posing import Posing
@@ -42,11 +43,18 @@ class CarScenes:
         if posed is None:
             return None
         people = [cast.person(slot, pose.action, body) for slot, (pose, body) in posed.poses.items()]
+        people = self.with_faces(cast, people, index)
         viewpoint = self.free_viewpoint(cast, index, lambda: people, posed.seated, rng=rng)
         if viewpoint is None:
             attempts.rejections[Rejection("camera")] += len(people)
             return None
         return self.assembled(cast, people, posed.seated.wheel_angle, posed.seated.things, viewpoint, rng=rng)
+
+    def with_faces(self, cast: Cast, people: Iterable[ScenePerson], number: int) -> list[ScenePerson]:
+        """The people with what their faces do; number: of the frame, or of the first of a sequence."""
+        exact = {slot: occupant.pose.face for slot, occupant in self.scene.occupants.items() if occupant.pose is not None}
+        given = {slot: face.face for slot, face in exact.items() if face is not None}
+        return with_faces(people, given, cast.cabin, seed=self._plan.seed, number=number)
 
     def furnished_cast(self, index: int, attempts: Attempts, *, rng: np.random.Generator) -> Cast | None:
         """Who sits in which car, with what is on its seats; None where a thing finds no place."""
@@ -111,5 +119,6 @@ class CarScenes:
         viewpoint = self._viewpoint(cast, index, rng)
         if viewpoint.blocked(people, seated):
             verdicts.append(Verdict(Rejection("camera"), where=viewpoint.vehicle_from_camera[:3, 3]))
+        people = self.with_faces(cast, people, index)
         shown = self.assembled(cast, people, wheel_angle, seated.things, viewpoint, rng=rng)
         return shown, tuple(verdict for verdict in verdicts if not verdict.ok)

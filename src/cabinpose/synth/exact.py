@@ -10,7 +10,7 @@ from cabinpose.scene.body import DOFS
 from cabinpose.synth.camera import ExactCameraPose
 from cabinpose.synth.cars import place_name
 from cabinpose.synth.config import CabinScene, SynthConfig
-from cabinpose.synth.occupant import ExactPose, ExactThing, Matrix4, Occupant
+from cabinpose.synth.occupant import ExactFace, ExactPose, ExactThing, Matrix4, Occupant
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng
@@ -53,6 +53,9 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             angles_rad={dof.name: float(angle) for dof, angle in zip(DOFS, person.posed.q, strict=True)},
             wheel_angle_rad=scene.wheel_angle if person.slot == "driver" else None,
             fingers=None if (fingers := person.posed.fingers) is None else _curls(fingers),
+            face=ExactFace(
+                gaze=person.face.gaze, lids=person.face.lids, expression=person.face.expression, units=dict(person.face.units)
+            ),
         )
         worn = {"none": {"belted": False}, "worn": {"belted": True}, "harness": {}}.get(person.belt, {"belt": person.belt})
         occupants[person.slot] = Occupant(subject=person.subject, action=person.action, pose=pose, **worn)

@@ -1,8 +1,8 @@
 """Gaze and head pose of everybody in a scene, as labels.
 
 The head does a known share of a gaze's yaw and pitch from straight ahead (`posture.gaze.HEAD_SHARE`, after Stahl 1999), the eyes
-the rest: so the gaze follows from the head, as it was solved, and the seat's heading. In sequences it follows from the head a
-moment later: the eyes lead. What it meets first is its target.
+the rest, as far as they turn: so the gaze follows from the head, as it was solved, and the seat's heading. In sequences it is
+that of the head a moment later: the eyes lead. Labelled is where the drawn eyes look (`faces`), and what that meets first.
 """
 
 from __future__ import annotations
@@ -44,8 +44,7 @@ def gaze_labels(scene: Scene, slots: tuple[str, ...], *, target: bool) -> dict[s
         if person.action in ASLEEP:
             targets[row] = "nothing" if target else ""
             continue
-        head = heads[row, :3, :3] if person.coming_head is None else person.coming_head
-        gaze[row] = line_of_sight(head, _heading(scene, person))
+        gaze[row] = rp.matmul(heads[row, :3, :3], np.array(person.face.gaze))
         if target:
             targets[row] = _target(scene, person, gaze[row])
     return {"gaze": gaze.astype(np.float32), "gaze_target": targets, "vehicle_from_head": heads}
@@ -58,13 +57,6 @@ def line_of_sight(head: Floats, heading: float) -> Floats:
     pitch = rp.arcsin(min(max(float(face[2]), -1.0), 1.0))
     yaw, pitch = heading + yaw / HEAD_SHARE[0], min(max(pitch / HEAD_SHARE[1], -math.pi / 2), math.pi / 2)
     return np.array((rp.cos(yaw) * rp.cos(pitch), rp.sin(yaw) * rp.cos(pitch), rp.sin(pitch)))
-
-
-def _heading(scene: Scene, person: ScenePerson) -> float:
-    if scene.cabin is not None:
-        return scene.cabin.seats[person.slot].facing_yaw
-    ahead = person.posed.vehicle_from_root[:3, 0]
-    return rp.arctan2(ahead[1], ahead[0])
 
 
 def _target(scene: Scene, person: ScenePerson, gaze: Floats) -> str:

@@ -10,12 +10,15 @@ import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError, is_rigid, unknown_name
+from cabinpose.core import reproducible as rp
+from cabinpose.scene.body import Face, load_faces
 from cabinpose.scene.cabin import BeltWear
 from cabinpose.scene.things import THINGS, Attachment, PlacedThing, make_thing
-from cabinpose.synth.people import Model
+from cabinpose.synth.people import Model, Probability
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import Profile, check_within, dof_scale, limits_deg, standing
 
+_UNIT_SLACK = 1e-6
 _LIMIT_SLACK = 1e-9  # rad; a pose at a joint's limit may be beyond it by the last bits
 
 
@@ -26,6 +29,35 @@ def _rigid(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]
 
 
 Matrix4 = Annotated[tuple[tuple[float, float, float, float], ...], AfterValidator(_rigid)]
+
+
+class ExactFace(Model):
+    """What somebody's face does, to the last bit."""
+
+    gaze: tuple[float, float, float] = Field((1.0, 0.0, 0.0), description="Unit vector of the line of sight: ahead, left, up.")
+    lids: tuple[Probability, Probability] = Field((1.0, 1.0), description="Opening of the left and right eye, 0 to 1.")
+    expression: str = Field("neutral", description="Its name, as it is labelled.")
+    units: Mapping[str, Probability] = Field({}, description="Shares of face units, e.g. jawOpen: 0.4.")
+
+    @field_validator("gaze")
+    @classmethod
+    def _unit(cls, gaze: tuple[float, float, float]) -> tuple[float, float, float]:
+        if abs(rp.norm(np.array(gaze)) - 1.0) > _UNIT_SLACK:
+            raise ValueError("Input should be a unit vector")
+        return gaze
+
+    @field_validator("units")
+    @classmethod
+    def _named(cls, units: Mapping[str, float]) -> Mapping[str, float]:
+        for name in units:
+            if name not in (known := load_faces().units):
+                raise unknown_name("face unit", name, sorted(known))
+        return units
+
+    @property
+    def face(self) -> Face:
+        """The face."""
+        return Face(self.gaze, self.lids, self.expression, tuple(self.units.items()))
 
 
 class ExactPose(Model):
@@ -43,6 +75,8 @@ class ExactPose(Model):
         description="Of the left and the right hand: curl of each finger, thumb first, and how far they are closed (0..1), where"
         " they do not follow the grip.",
     )
+
+    face: ExactFace | None = Field(None, exclude_if=lambda face: face is None, description="What it does; left out: drawn.")
 
     @field_validator("angles_rad")
     @classmethod

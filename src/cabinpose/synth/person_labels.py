@@ -18,6 +18,7 @@ from cabinpose.scene.body import CHILD_YEARS, Person, load_population, worn
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.scene.things import CHILD_SEAT_LABELS, PlacedThing
 from cabinpose.store import AXES, BELT_OF_1
+from cabinpose.synth.faces import DROWSY_OPENING
 from cabinpose.synth.gaze import ASLEEP
 from cabinpose.synth.posture import FREE_POSES
 from cabinpose.synth.scene import Scene, ScenePerson
@@ -135,10 +136,7 @@ def _facing(seat: PlacedThing) -> str:
 
 
 def doing_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
-    """Stance, alertness and expression, what hands hold, where they are on the wheel, the telephone, the eyelids.
-
-    Eyelids are those of the action alone until bodies have some that move: closed in sleep, else not known.
-    """
+    """Stance, alertness and expression, what hands hold, where they are on the wheel, the telephone, the eyelids."""
     people = {who.slot: who for who in scene.people}
     rim = _wheel(scene)
     clock, lids = np.full((len(slots), _HANDS), np.nan, np.float32), np.full((len(slots), 2), np.nan, np.float32)
@@ -154,19 +152,24 @@ def doing_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
             if thing.slot == slot and thing.at == "hand":
                 off = [rp.norm(palm - np.asarray(thing.vehicle_from_thing)[:3, 3]) for palm in palms]
                 hold[row][int(off[1] < off[0])] = _kind(thing)
-        if who.action in ASLEEP:
-            lids[row] = 0.0
+        lids[row] = who.face.lids
     stance = "standing" if scene.cabin is None else "sitting"
     return {
         "stance": [
             "" if (who := people.get(slot)) is None else _STANCE[pose.where] if (pose := FREE_POSES.get(who.action)) else stance
             for slot in slots
         ],
-        "alertness": [("asleep" if who.action in ASLEEP else "awake") if (who := people.get(s)) else "" for s in slots],
-        "expression": [""] * len(slots),
+        "alertness": [_alertness(who) if (who := people.get(slot)) else "" for slot in slots],
+        "expression": [who.face.expression if (who := people.get(slot)) else "" for slot in slots],
         "phone": [_phone(people.get(slot), hold[row]) for row, slot in enumerate(slots)],
         "in_hand": hold, "hand_clock": clock, "eyelid_opening": lids,
     }  # fmt: skip
+
+
+def _alertness(who: ScenePerson) -> str:
+    if who.action in ASLEEP:
+        return "asleep"
+    return "drowsy" if max(who.face.lids) < DROWSY_OPENING else "awake"
 
 
 def _phone(who: ScenePerson | None, hold: list[str]) -> str:

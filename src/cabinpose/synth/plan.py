@@ -38,12 +38,12 @@ class Plan:
 
     def __init__(self, config: SynthConfig, seed: int, *, like: Plan | None = None) -> None:
         """like: that of a dataset whose people, cars and rooms are taken over as far as the configuration makes the same ones."""
-        self._config, self._seed = config, seed
+        self._config, self.seed = config, seed
         self._names = config.people.names
         self.subjects: Subjects = Subjects(config.people, seed, like=None if like is None else like.subjects)
         self.cabins: Cabins = Cabins(config.scene, seed, like=None if like is None else like.cabins)
         self.room: Callable[[int], Room] = cached_once(64)(self._make_room)
-        if like is not None and like._seed == seed:
+        if like is not None and like.seed == seed:
             self.room = like.room
         self._order = cached_once(4)(self._make_order)
 
@@ -66,7 +66,7 @@ class Plan:
         car = self.cabins.names[among[int(rng.integers(len(among)))]] if cell is None else cell.car
         chance = rng.random()
         if is_random_car(car):
-            chance = frame_rng(self._seed, CAR_STREAM - 1 - int(car[1:])).random()
+            chance = frame_rng(self.seed, CAR_STREAM - 1 - int(car[1:])).random()
         return car, "right" if chance < scene.right_hand_drive else "left"
 
     def people(self, index: int, count: int, *, without: Collection[str] = (), rng: np.random.Generator) -> list[str]:
@@ -86,7 +86,7 @@ class Plan:
         return result
 
     def _make_room(self, number: int) -> Room:
-        return furnish_room(rng=room_rng(self._seed, number))
+        return furnish_room(rng=room_rng(self.seed, number))
 
     def _people_in_play(self, index: int) -> list[str]:
         return [self._names[i] for i in self._in_play(1, len(self._names), PEOPLE_IN_PLAY, _FRAMES_A_PERSON, index)]
@@ -99,4 +99,4 @@ class Plan:
         return list(dict.fromkeys(self._order(kind, count, turn // count)[turn % count] for turn in turns))
 
     def _make_order(self, kind: int, count: int, round_number: int) -> list[int]:
-        return frame_rng(self._seed, ORDER_STREAM + kind * _ROUNDS + round_number).permutation(count).tolist()
+        return frame_rng(self.seed, ORDER_STREAM + kind * _ROUNDS + round_number).permutation(count).tolist()

@@ -86,7 +86,7 @@ def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
 def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.random.Generator) -> ScenePerson:
     """The person with clothes on, and with the belt over them for the configured share of people."""
     seat, on = cast.cabin.seats[person.slot], cast.child_seats.get(person.slot)
-    clothed = person.posed.surface(1 + OCCUPANT_SLOTS.index(person.slot))
+    clothed = person.posed.surface(1 + OCCUPANT_SLOTS.index(person.slot), person.face)
     how = _belt_wear(scene, person.slot, rng)
     wearer = Wearer.of(clothed, person.posed.joints)
     if on is not None and (on.thing.lying is not None or _sitting(on).harness):

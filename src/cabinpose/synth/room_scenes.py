@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cabinpose.core import STANDING_SLOT, axis_rotation, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import ROOM_VIEWS, place_room_camera
 from cabinpose.synth.config import RoomScene, SynthConfig
+from cabinpose.synth.faces import with_faces
 from cabinpose.synth.plan import Plan
 from cabinpose.synth.scene import Attempts, Scene, ScenePerson
 from cabinpose.synth.standing import sample_standing
@@ -44,6 +47,8 @@ class RoomScenes:
             verdict = self._bodies.check([(STANDING_SLOT, person, posed)], {})
             attempts.judge(verdict.rejection)
             if verdict.rejection is None:
-                somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed, (posed.surface(1),))
+                somebody = ScenePerson(STANDING_SLOT, subject, pose.action, person, posed)
+                (somebody,) = with_faces([somebody], {}, None, seed=self._plan.seed, number=index)
+                somebody = replace(somebody, surfaces=(posed.surface(1, somebody.face),))
                 return Scene(room.surface, (somebody,), camera, f"room_{number:03d}", view)
         return None

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from cabinpose.core import OCCUPANT_SLOTS, Floats, Matrix, SceneError
 from cabinpose.scene import Surface, merge
-from cabinpose.scene.body import CHILD_YEARS, Person, PosedBody
+from cabinpose.scene.body import CHILD_YEARS, Face, Person, PosedBody
 from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
@@ -20,7 +20,7 @@ class ScenePerson:
     """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included).
 
     belt: how it is worn, "harness" in a child seat that has one · coming_head: (3, 3) the rotation that a moving head is about to
-    have, which the eyes have reached; None where it stays.
+    have, which the eyes have reached; None where it stays · face: what it does.
     """
 
     slot: str
@@ -31,6 +31,7 @@ class ScenePerson:
     surfaces: tuple[Surface, ...] = ()
     belt: BeltWear | Literal["none", "harness"] = "none"
     coming_head: Floats | None = None
+    face: Face = field(default_factory=Face)
 
     @property
     def child(self) -> bool:

@@ -54,6 +54,12 @@ def own_rng(seed: int, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=key, counter=(0, 0, 0, 2)))
 
 
+def face_rng(seed: int, frame_index: int, slot: str) -> np.random.Generator:
+    """The generator of what somebody's face does in a frame, or in the sequence that begins with it."""
+    key = np.array((seed, frame_index), dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=(0, 0, zlib.crc32(slot.encode()), 4)))
+
+
 def weighted(weights: Mapping[Name, float], *, rng: np.random.Generator) -> Name:
     """A name drawn by weight."""
     names = list(weights)

@@ -17,6 +17,7 @@ from cabinpose.scene.body import (
     Phenotype,
     Sex,
     age_of,
+    face_number,
     load_population,
     usual_stature_m,
 )
@@ -47,11 +48,15 @@ class Subjects:
 
     def body(self, name: str) -> tuple[Phenotype, Outfit]:
         """Shape and clothes of somebody; a function of people, seed and name alone, whatever was drawn before."""
-        phenotype, outfit = self._symmetric_body(name)
+        face = face_number(name if self._everywhere_the_same(name) else f"{name} of {self._seed}")
+        phenotype, outfit = self._symmetric_body(name, face)
         if self._people.asymmetric:  # whoever has a name is the same in all datasets
-            named = name in SUBJECTS or name in self._people.own
-            phenotype = replace(phenotype, asymmetry=int(own_rng(0 if named else self._seed, name).integers(1, 1 << 31)))
+            seed = 0 if self._everywhere_the_same(name) else self._seed
+            phenotype = replace(phenotype, asymmetry=int(own_rng(seed, name).integers(1, 1 << 31)))
         return phenotype, outfit
+
+    def _everywhere_the_same(self, name: str) -> bool:
+        return name in SUBJECTS or name in self._people.own
 
     def children(self, stature_m: tuple[float, float], kinds: str = "K") -> list[str]:
         """The children whose stature is in a range, m; kinds: first letters of their names."""
@@ -60,12 +65,13 @@ class Subjects:
         low, high = stature_m
         return [name for name, stature in statures.items() if max(low, _LEAST_M.get(name[0], 0.0)) <= stature <= high]
 
-    def _symmetric_body(self, name: str) -> tuple[Phenotype, Outfit]:
+    def _symmetric_body(self, name: str, face: int) -> tuple[Phenotype, Outfit]:
+        """face: number of the face of who has none by the name alone."""
         if name in SUBJECTS:
             return SUBJECTS[name].phenotype, SUBJECTS[name].outfit
         if name in self._people.own:
             try:
-                return _own_body(self._people.own[name])
+                return _own_body(self._people.own[name], face)
             except ConfigError as error:
                 raise ConfigError(f"{name}: {error}", hint=error.hint) from None
         if child := CHILD_NAME.fullmatch(name):
@@ -75,13 +81,13 @@ class Subjects:
             population = crowd.drawn_from if (crowd := self._people.random) else None
             if population is None or not population.has(years):
                 population = load_population("nhanes" if years >= SEATED_YEARS else "cdc")
-            body = Phenotype.of_size(population.draw(rng=rng, years=(years, years)), rng=rng)
+            body = replace(Phenotype.of_size(population.draw(rng=rng, years=(years, years)), rng=rng), face=face)
             return body, _suited(Outfit.random(rng=rng), body)
         crowd = self._people.random
         if crowd is None or not name.startswith("R"):
             raise unknown_name("subject", name, self._people.names)
         rng = frame_rng(self._seed, PEOPLE_STREAM - int(name[1:]))
-        phenotype = crowd.draw(rng=rng)
+        phenotype = replace(crowd.draw(rng=rng), face=face)
         return phenotype, _suited(Outfit.random(rng=rng), phenotype)
 
     def _old_enough(self, name: str) -> bool:
@@ -121,7 +127,7 @@ def _suited(outfit: Outfit, phenotype: Phenotype) -> Outfit:
     )
 
 
-def _own_body(own: OwnPerson) -> tuple[Phenotype, Outfit]:
+def _own_body(own: OwnPerson, face: int) -> tuple[Phenotype, Outfit]:
     """Raises ConfigError where no body has the mass."""
     gender = {"male": 0.0, "female": 1.0}.get(own.gender, 0.5) if isinstance(own.gender, str) else own.gender
     age = age_of(own.years)
@@ -130,10 +136,10 @@ def _own_body(own: OwnPerson) -> tuple[Phenotype, Outfit]:
         sex: Sex = "female" if gender > 0.5 else "male"
         usual = load_population("cdc").of_percentile(sex, 50.0, own.years)
         mass = own.mass_kg if own.mass_kg is not None else usual.mass_kg * (stature / usual.stature_m) ** 2
-        return Phenotype.of_size(usual.with_size(stature, mass), rng=None), own.outfit
+        return replace(Phenotype.of_size(usual.with_size(stature, mass), rng=None), face=face), own.outfit
     muscles = _MUSCLES if own.muscle is None else (own.muscle,)
     weight = _WEIGHT if own.weight is None else own.weight
-    body = Phenotype(gender, age, muscles[0], weight, own.height, own.proportions, stature)
+    body = Phenotype(gender, age, muscles[0], weight, own.height, own.proportions, stature, face=face)
     if own.mass_kg is None:
         return body, own.outfit
     for muscle in muscles[:-1]:

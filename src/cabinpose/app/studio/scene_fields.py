@@ -351,7 +351,7 @@ class SceneFields:
 
 _MAPPINGS = (
     "cars", "occupants", "occupancy", "motion", "views", "own", "axes", "initial_pose_deg", "angles_rad", "ranges",
-    "frequencies_hz",
+    "frequencies_hz", "units",
 )  # fmt: skip
 
 

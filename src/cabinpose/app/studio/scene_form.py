@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from cabinpose.core import OCCUPANT_SLOTS
-from cabinpose.scene.body import DEFAULT_RANGES, DOF_INDEX, DOFS, POPULATIONS, SUBJECTS
+from cabinpose.scene.body import DEFAULT_RANGES, DOF_INDEX, DOFS, POPULATIONS, SUBJECTS, load_faces
 from cabinpose.scene.cabin import PRESET_DIMENSIONS, PRESETS, PRODUCT_VIEWS, VIEWS_OF_ALL
 from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth import SynthConfig, limits_deg, things_for
@@ -31,7 +31,7 @@ _THINGS: Mapping[str | int, Literal["child seat", "object"]] = MappingProxyType(
 )
 _TITLES = {
     "CameraPose": "own pose", "ExactCameraPose": "matrix", "Sensor": "own sensor", "ExactPose": "whole pose",
-    "RandomPeople": "random people", "Factorial": "factorial",
+    "ExactFace": "face", "RandomPeople": "random people", "Factorial": "factorial",
 }  # fmt: skip
 
 
@@ -246,8 +246,11 @@ class _Builder:
             return things_for(_THINGS[path[-2]])[1:]
         if path[:2] == ("scene", "motion"):
             return ACTIONS.names()
-        views = (*VIEWS_OF_ALL, *PRODUCT_VIEWS)
-        return {"views": views, "ranges": ("years", "stature_cm", "mass_kg", *DEFAULT_RANGES)}.get(last, ())
+        return {
+            "views": (*VIEWS_OF_ALL, *PRODUCT_VIEWS),
+            "units": tuple(load_faces().units),
+            "ranges": ("years", "stature_cm", "mass_kg", *DEFAULT_RANGES),
+        }.get(last, ())
 
     def _values(self, path: Path) -> tuple[str, ...]:
         """Usual values of a text; () for none."""

@@ -1,6 +1,8 @@
 from .chart import load_chart as load_chart
 from .chart import vertex_segments as vertex_segments
 from .dress import worn as worn
+from .faces import Face as Face
+from .faces import load_faces as load_faces
 from .joints import OWN_PARTS as OWN_PARTS
 from .joints import joints_in_body as joints_in_body
 from .kinematics import RestArrays as RestArrays
@@ -36,3 +38,4 @@ from .rig import Dof as Dof
 from .shape import load_shape_space as load_shape_space
 from .subjects import SUBJECTS as SUBJECTS
 from .subjects import Subject as Subject
+from .subjects import face_number as face_number

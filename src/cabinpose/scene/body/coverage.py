@@ -110,12 +110,27 @@ def _beard() -> Floats:
     return np.minimum(np.minimum(hair, (load_chart().head - 0.5) * NECK_M), -_ears())
 
 
+def _brows() -> Floats:
+    """Above each eye from near the nose to the temple, highest and thinner beyond two thirds of the way."""
+    x, z, y = _face()
+    middle = np.interp(y, (0.008, 0.018, 0.036, 0.052, 0.060), (0.0145, 0.0170, 0.0205, 0.0165, 0.0120))
+    half = np.interp(y, (0.008, 0.011, 0.020, 0.036, 0.054, 0.058), (0.0015, 0.0038, 0.0042, 0.0034, 0.0016, 0.0004))
+    along = np.minimum(y - 0.009, 0.057 - y)
+    return np.minimum(np.where(x > -0.02, np.minimum(half - np.abs(z - middle), along), -0.1), 0.01) + _waver(0.0003)
+
+
+def _lips() -> Floats:
+    x, z, y = _face()
+    return np.where(x > 0.0, 0.010 * (1.0 - rp.hypot(y / 0.0255, (z + 0.0685) / 0.0095)), -0.1)
+
+
 @cache
 def borders() -> Mapping[str, Floats]:
     """Field (V,) of everything that can lie on the skin, by name.
 
-    Each garment, "socks", "scalp", "scalp_and_ears", "cap", "beard"; and "ears".
+    Each garment, "socks", "scalp", "scalp_and_ears", "cap", "beard", "brows", "lips"; and "ears".
     """
     fields = {name: _top(name) for name in TOP_ENDS} | {name: _bottom(name) for name in BOTTOM_ENDS}
     fields |= {"socks": _socks(), "scalp": _scalp(over_ears=False), "scalp_and_ears": _scalp(over_ears=True)}
-    return MappingProxyType(fields | {"cap": _cap(), "beard": _beard(), "ears": _ears()})
+    fields |= {"cap": _cap(), "beard": _beard(), "brows": _brows(), "lips": _lips()}
+    return MappingProxyType(fields | {"ears": _ears()})

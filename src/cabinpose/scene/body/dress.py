@@ -10,7 +10,8 @@ import numpy as np
 
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
-from cabinpose.scene.body.accessories import SHOE_MATERIAL, accessories, foot_faces_hidden
+from cabinpose.scene.body.accessories import SHOE_MATERIAL, Accessory, accessories, foot_faces_hidden
+from cabinpose.scene.body.faces import Eyes, FaceMesh, FaceRig, ball, close_lips, mouth_faces
 from cabinpose.scene.body.garments import BOTTOMS, TOPS, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
@@ -23,7 +24,8 @@ from cabinpose.scene.body.shape import ShapeSpace
 class Dressed:
     """What the camera sees at rest: `rest` (N, 3) m are the dressed skin's vertices that a face uses, then accessories'.
 
-    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8 · is_top: (F,) whether it is of the top garment.
+    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8 · is_top,
+    is_lip: (F,) whether it is of the top garment, of the lips · face_rig: what moves in the face.
     """
 
     rest: Floats32
@@ -33,6 +35,8 @@ class Dressed:
     label: Bytes
     material: Bytes
     is_top: Bools
+    is_lip: Bools
+    face_rig: FaceRig
 
 
 class _Seen(NamedTuple):
@@ -56,8 +60,26 @@ def _seen(*, shod: bool) -> _Seen:
     )  # fmt: skip
 
 
-def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eyes: Floats, outfit: Outfit, size: float) -> Dressed:
-    """The outfit on a person's skin (V, 3) at rest, root axes; size: stature over the average adult's."""
+@cache
+def _face_mesh(*, shod: bool) -> FaceMesh:
+    return FaceMesh.of(_seen(shod=shod).vertex)
+
+
+def _eyeballs(eyes: Eyes) -> Accessory:
+    vertices, faces, material = ball()
+    both = np.concatenate([faces, faces + np.int32(len(vertices))])
+    label = np.repeat([labels.LABEL_ID["head_left"], labels.LABEL_ID["head_right"]], len(faces)).astype(np.uint8)
+    return Accessory(
+        eyes.balls().reshape(-1, 3), both, ("head",), np.ones((2 * len(vertices), 1)), label,
+        np.tile(np.array([materials.MATERIAL_ID[name] for name in material], np.uint8), 2),
+    )  # fmt: skip
+
+
+def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floats, outfit: Outfit, size: float) -> Dressed:
+    """The outfit on a person's skin (V, 3) at rest, root axes.
+
+    eye_centres: (2, 3) m, left and right · size: stature over the average adult's.
+    """
     worn = layer(skin, rest, outfit, size)
     cut = cut_skin()
     label = cut.label.copy()
@@ -66,11 +88,16 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eyes: Floats, out
         material[covered] = materials.MATERIAL_ID[name]
         if is_label is not None:
             label[covered] = labels.LABEL_ID[is_label]
-    seen = _seen(shod=outfit.shoes != "none")
-    vertices, index, weight = [worn.vertices[seen.vertex]], [seen.bone_index], [seen.bone_weight]
+    material[mouth_faces()] = materials.MATERIAL_ID["mouth"]
+    shod = outfit.shoes != "none"
+    seen, eyes = _seen(shod=shod), Eyes.of(skin, eye_centres)
+    surface = worn.vertices[seen.vertex]
+    eyes.make_sockets(surface, seen.vertex)
+    close_lips(surface, seen.vertex)
+    vertices, index, weight = [surface], [seen.bone_index], [seen.bone_weight]
     all_faces, all_labels, all_materials = [seen.faces], [label[seen.face]], [material[seen.face]]
     count = len(seen.vertex)
-    for part in accessories(skin.astype(np.float64), rest, eyes, outfit):
+    for part in (_eyeballs(eyes), *accessories(skin.astype(np.float64), rest, eye_centres.mean(axis=0), outfit)):
         rows = np.zeros((len(part.vertices), space.bone_index.shape[1]), np.uint8)
         shares = np.zeros(rows.shape, np.float32)
         order = np.argsort(-part.weights, axis=1, kind="stable")
@@ -87,9 +114,12 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eyes: Floats, out
     is_top = np.zeros(sum(map(len, all_faces)), np.bool_)
     if outfit.top != "none":
         is_top[: len(seen.face)] = cut.inside[outfit.top][seen.face]
+    is_lip = np.zeros_like(is_top)
+    is_lip[: len(seen.face)] = cut.inside["lips"][seen.face]
     return Dressed(
         np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
-        np.concatenate(all_labels), np.concatenate(all_materials), is_top,
+        np.concatenate(all_labels), np.concatenate(all_materials), is_top, is_lip,
+        FaceRig(skin, eyes, _face_mesh(shod=shod)),
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from cabinpose.core import Floats, Floats32, Ints, Ints32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.anatomy import CENTRE
 from cabinpose.scene.body.asymmetry import asymmetric
+from cabinpose.scene.body.faces import with_face
 from cabinpose.scene.body.measures import MeasuredRows, measure, measured_rows
 from cabinpose.scene.body.phenotype import Phenotype, usual_stature_m
 from cabinpose.scene.body.populations import DIMENSIONS, Anthropometry, Sex, proportions
@@ -149,6 +150,8 @@ def _shaped(phenotype: Phenotype) -> Shape:
     skin, heads = space.shape(phenotype)
     if phenotype.asymmetry:
         skin, heads = asymmetric(skin, heads, space.heads, phenotype.asymmetry)
+    if phenotype.face:
+        skin = with_face(skin, heads, space.heads, phenotype.face)
     if phenotype.stature_m is None:
         return skin, heads
     scale = phenotype.stature_m / float(np.ptp(skin[:, 2]))

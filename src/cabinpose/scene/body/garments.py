@@ -57,7 +57,7 @@ BOTTOMS = {
     "shorts": _Cut(0.003, 0.020, 0.016, 0.03, "cotton"),
 }
 HAIR_DEPTH_M = {"bald": 0.0, "short": 0.009, "medium": 0.022, "long": 0.018, "bun": 0.010}
-CAP_DEPTH_M, BEARD_DEPTH_M = 0.014, 0.008
+CAP_DEPTH_M, BEARD_DEPTH_M, BROW_DEPTH_M = 0.014, 0.008, 0.0015
 
 
 @dataclass(frozen=True)
@@ -254,6 +254,8 @@ def _hair(outfit: Outfit, regions: list[tuple[Bools, str, str | None]]) -> Float
         strands = smooth_noise(np.array([0.06]), borders()[name] > -0.02, 1.0, rng=rng)[:, 0]
         depth = HAIR_DEPTH_M[outfit.hair] * step(_seen_field(name), 0.010, 0.020) * (0.9 + 0.2 * strands)
         regions.append((inside[name], "hair", "hair"))
+    depth = np.maximum(depth, BROW_DEPTH_M * step(_seen_field("brows"), 0.001, 0.003))
+    regions.append((inside["brows"], "hair", None))
     if outfit.beard:
         depth = np.maximum(depth, BEARD_DEPTH_M * step(_seen_field("beard"), 0.004, 0.016))
         regions.append((inside["beard"], "hair", None))

@@ -17,6 +17,7 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.accessories import HEEL_BACK_M, SOLE_M
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.dress import Dressed, dress
+from cabinpose.scene.body.faces import Face
 from cabinpose.scene.body.fitting import BODY_DENSITY, shape_of, volume
 from cabinpose.scene.body.kinematics import RestArrays, main_frames
 from cabinpose.scene.body.measures import measure, measured_rows
@@ -41,6 +42,7 @@ class Person:
         self.rest.soles[:, :3, 3] -= (HEEL_BACK_M, 0.0, SOLE_M[outfit.shoes]) if outfit.shoes != "none" else (0.0, 0.0, 0.0)
         self.rest_skin: Floats32 = (skin - origin).astype(np.float32)
         self._rig_points = rig_points(heads - origin, space.heads, self.rest)
+        self.eye_centres: Floats = heads[[space.heads["leye"], space.heads["reye"]]] - origin  # (2, 3) m, of left and right
         self.eyes_rest: Floats = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
         self.stature_m = phenotype.size.stature_m if phenotype.size else float(np.ptp(skin[:, 2]))
 
@@ -83,7 +85,7 @@ class Person:
     def dressed(self) -> Dressed:
         """The surface the camera sees, at rest."""
         size = self.stature_m / float(np.ptp(load_chart().rest[:, 2]))
-        return dress(self._space, self.rest_skin, self.rest, self.eyes_rest, self.outfit, size)
+        return dress(self._space, self.rest_skin, self.rest, self.eye_centres, self.outfit, size)
 
     def joints(self, q: Floats, vehicle_from_root: Matrix) -> Floats:
         """(20, 3) joints of `core.skeleton.JOINTS`, vehicle frame, m: kinematics only, no skinning."""
@@ -197,10 +199,16 @@ class PosedBody:
         head = self._vehicle_from_mesh[BONE_INDEX["head"]]
         return np.asarray(rp.matmul(head[:, :3], self.person.eyes_rest) + head[:, 3])
 
-    def surface(self, instance: int) -> Surface:
-        """What the camera sees: clothed, with hair and accessories. instance: 1 + occupant slot."""
-        d = self.person.dressed
-        vertices = self._skinned(d.rest, d.bone_index, d.bone_weight)
+    def surface(self, instance: int, face: Face | None = None) -> Surface:
+        """What the camera sees: clothed, with hair and accessories. instance: 1 + occupant slot.
+
+        face: what it does; by default the eyes are open and look ahead.
+        """
+        d, rest = self.person.dressed, self.person.dressed.rest
+        if face is not None:
+            rest = rest.copy()
+            d.face_rig.move(rest, face)
+        vertices = self._skinned(rest, d.bone_index, d.bone_weight)
         normals = np.empty_like(vertices)
         native.vertex_normals(vertices, d.faces, normals)
         return Surface(vertices, normals, d.faces, d.label, d.material, np.full(len(d.faces), instance, np.uint8))

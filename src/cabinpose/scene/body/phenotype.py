@@ -67,8 +67,8 @@ class Phenotype:
     muscle and weight: 0.5 average · height: of the other five's body, mostly in its legs · proportions: 0 ideal, 1 uncommon ·
     stature_m: the body is scaled evenly to it; None leaves it as the six make it (1.91 m for the average man, 1.77 m for the
     woman) · asymmetry: number of the pattern by which the sides differ, 0 where they do not · size: the stature, mass and
-    dimensions that the body is made to, in place of `weight` (and of `muscle`, where much fat needs less of it). Raises
-    ConfigError outside.
+    dimensions that the body is made to, in place of `weight` (and of `muscle`, where much fat needs less of it) · face: number
+    of the face, 0 the data's own. Raises ConfigError outside.
     """
 
     gender: float = 0.5
@@ -80,6 +80,7 @@ class Phenotype:
     stature_m: float | None = None
     asymmetry: int = 0
     size: Anthropometry | None = None
+    face: int = 0
 
     def __post_init__(self) -> None:
         for name in DEFAULT_RANGES:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from types import MappingProxyType
 from typing import NamedTuple, cast
@@ -70,13 +72,22 @@ class NamedPeople(Mapping[str, Subject]):
         return _of_percentile(word[1], word[2], float(word[3]) if word[3] else None, float(word[4]))
 
 
+def face_number(name: str) -> int:
+    """The number of the face of somebody who has it in all datasets, by name."""
+    return 1 + zlib.crc32(name.encode())
+
+
 @cache
 def _of_percentile(population: str, sex: str, years: float | None, percentile: float) -> Subject:
     size = load_population(population).of_percentile(cast("Sex", sex), percentile, years)
-    return Subject(Phenotype.of_size(size, rng=None), _CLOTHES[sex])
+    name = f"{population}_{sex}_{percentile:g}_{years or 0.0:g}"
+    return Subject(replace(Phenotype.of_size(size, rng=None), face=face_number(name)), _CLOTHES[sex])
 
 
 _NAMED = MappingProxyType(
-    {f"S{number:02d}": Subject(Phenotype(*row), outfit) for number, (row, outfit) in enumerate(_ROWS, start=1)}
+    {
+        name: Subject(Phenotype(*row, face=face_number(name)), outfit)
+        for name, (row, outfit) in ((f"S{number:02d}", row) for number, row in enumerate(_ROWS, start=1))
+    }
 )
 SUBJECTS = NamedPeople()  # the people of the package, S01 and on

@@ -89,7 +89,7 @@ class Films:
         number, frame = divmod(index, self._sequence.frames)
         film, time_s = self.film(number), frame / self._sequence.rate_hz + later_s
         rng = sequence_rng(self._seed, number * self._sequence.frames, 0)  # the same belts in all frames
-        people = film.people(time_s)
+        people = self._scenes.with_faces(film.cast, film.people(time_s), number * self._sequence.frames)
         things = film.things_with(people, time_s)
         shown = self._scenes.assembled(film.cast, people, film.wheel_angle(time_s), things, film.viewpoint, rng=rng)
         counted = film.attempts if frame == 0 else Attempts()

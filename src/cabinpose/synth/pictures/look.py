@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cabinpose.core import Bools, Floats, Floats32
+from cabinpose.core import Floats, Floats32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIAL_ID as MATERIAL
@@ -26,6 +26,7 @@ _BLOOD = 1.0, 0.86, 0.8  # live skin is redder than the scale's patches
 _SKIN_GAIN = 0.62  # the scale is of patches under studio light: skin reflects between some 4 and 60 % of red
 _HAIR = ((0x1B1512, 0.35), (0x2E1F16, 0.25), (0x4A3020, 0.18), (0x7A5433, 0.1), (0xB08A55, 0.08), (0x6E3519, 0.04))
 _GREY_HAIR = 0xB5B1AB
+_IRISES = ((0x3B2314, 0.55), (0x5A3A1E, 0.2), (0x6B6B3A, 0.1), (0x6E8AA0, 0.15))  # assumed
 _TOPS = (
     0xE8E6E0, 0x23262B, 0x5A6168, 0x2B3A55, 0x6D2230, 0x2E4A3A, 0x8A94A0, 0xB7A98F, 0x3F5F86, 0xC9C4BA, 0x7A4B3A, 0xB55A3C,
     0xD3B04A, 0x4F3B5C, 0x5F8A8B,
@@ -52,6 +53,7 @@ ROUGHNESS: Mapping[int, float] = MappingProxyType(
         for name, alpha in (
             ("skin", 0.55), ("leather_shoe", 0.2), ("seat_leather", 0.32), ("soft_trim", 0.45), ("hard_plastic", 0.28),
             ("metal", 0.15), ("rubber", 0.5), ("steering_leather", 0.35),
+            ("eye", 0.1), ("iris", 0.1), ("pupil", 0.1), ("mouth", 0.3),
         )
     }
 )  # fmt: skip
@@ -127,7 +129,6 @@ def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:
     )
     sock = linear(int(rng.choice((0xDAD8D2, 0x202124, 0x3A4250))))
     material, label = dressed.material, dressed.label
-    middle = dressed.rest[dressed.faces].mean(axis=1).astype(np.float64)
     cloth = np.isin(material, _CLOTH)
     colours = np.tile(skin, (len(material), 1))
     colours[cloth] = bottom
@@ -140,27 +141,13 @@ def person_colours(person: Person, *, rng: np.random.Generator) -> Floats32:
     colours[material == MATERIAL["hair"]] = hair
     colours[label == LABEL["headwear"]] = cap
     colours[(label == LABEL["glasses"])] = linear(0x191817)
-    _paint_face(colours, middle, person, skin, hair, material == MATERIAL["skin"])
+    colours[dressed.is_lip & (material == MATERIAL["skin"])] = skin * (0.92, 0.62, 0.6) + (0.004, 0.0, 0.0)
+    for name, colour in {
+        "eye": np.minimum(0.45, 0.25 + 0.4 * skin) * (1.0, 0.93, 0.9), "iris": _weighted(_IRISES if at < 5 else _IRISES[:2], rng),
+        "pupil": linear(0x0A0908), "mouth": linear(0x5A1F22),
+    }.items():  # fmt: skip
+        colours[material == MATERIAL[name]] = colour
     return _blotched(colours, 0.05, rng)
-
-
-def _paint_face(colours: Floats, middle: Floats, person: Person, skin: Floats, hair: Floats, bare: Bools) -> None:
-    """Eyes, brows, lips and a blush, placed by the distance between the eyes and the skin's profile."""
-    scale = np.sqrt(person.stature_m / 1.75)  # heads vary less than statures
-    at = (middle - person.eyes_rest) / scale
-    x, y, z = at[:, 0], np.abs(at[:, 1]), at[:, 2]
-    face = bare & (x > -0.03) & (np.abs(z) < 0.14)
-    off_eye = y - _EYE_Y
-    for where, colour in (
-        ((np.abs(off_eye) < 0.026) & (np.abs(z - 0.019 + 0.4 * np.abs(off_eye)) < 0.0035), 0.35 * skin + 0.65 * 0.8 * hair),
-        ((off_eye / 0.0125) ** 2 + (z / 0.0048) ** 2 < 1, np.minimum(0.45, 0.25 + 0.4 * skin) * (1.0, 0.93, 0.9)),
-        ((off_eye / 0.0058) ** 2 + (z / 0.0058) ** 2 < 1, np.array((0.03, 0.02, 0.015))),
-        ((y / 0.025) ** 2 + ((z + _MOUTH_Z) / 0.008) ** 2 < 1, skin * (0.85, 0.52, 0.5) + (0.02, 0.0, 0.0)),
-    ):
-        colours[face & where] = colour
-
-
-_EYE_Y, _MOUTH_Z = 0.032, 0.067
 
 
 def _blotched(colours: Floats, share: float, rng: np.random.Generator) -> Floats32:
