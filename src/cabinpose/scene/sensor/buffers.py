@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import Bytes, ConfigError, Floats32, Ints32
+from cabinpose.scene.materials import Coat
 
 
 def centre_part(supersample: int) -> int:
@@ -32,11 +33,12 @@ class GeometryBuffers:
 
     depth_m: (H, W) float32, z along the optical axis in metres at the pixel's centre, 0 where nothing was hit ·
     cos_incidence: (H, W) float32, cosine of the angle between the ray and the surface normal, 0..1 ·
-    material: (H, W) uint8, ids of `scene.materials` ·
+    material: (H, W) uint8, ids of `scene.materials`, or codes of `coats` ·
     mixed: (M,) int32, flat indices, in any order, of the pixels whose light is the mean of their parts': those that see an edge,
     a crease or a steep surface. The other pixels see one smooth surface, whose centre stands for all of it ·
     parts_depth_m, parts_cos_incidence, parts_material: (M, s * s), the same at the centres of the parts of these pixels, row by
-    row: pixels of `camera.scaled(s)`.
+    row: pixels of `camera.scaled(s)` ·
+    coats: what surfaces of the scene's own codes reflect, in place of materials.
     """
 
     supersample: int
@@ -47,6 +49,7 @@ class GeometryBuffers:
     parts_depth_m: Floats32
     parts_cos_incidence: Floats32
     parts_material: Bytes
+    coats: tuple[Coat, ...] = ()
 
     def __post_init__(self) -> None:
         shape, parts = self.depth_m.shape, (len(self.mixed), self.supersample**2)
@@ -93,7 +96,7 @@ class GeometryBuffers:
 
     def first(self, number: int) -> GeometryBuffers:
         """The same with only so many mixed pixels."""
-        return GeometryBuffers(self.supersample, *self.arrays[:3], *(array[:number] for array in self.arrays[3:]))
+        return GeometryBuffers(self.supersample, *self.arrays[:3], *(array[:number] for array in self.arrays[3:]), self.coats)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -110,7 +113,7 @@ class GeometryBuffers:
 
     def copy(self) -> GeometryBuffers:
         """The same in memory of its own."""
-        return GeometryBuffers(self.supersample, *(array.copy() for array in self.arrays))
+        return GeometryBuffers(self.supersample, *(array.copy() for array in self.arrays), self.coats)
 
     def slots(self) -> Ints32:
         """(H, W): where in `mixed` each pixel is; -1 where it is not."""
