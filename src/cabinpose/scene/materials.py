@@ -82,9 +82,9 @@ class Coat(NamedTuple):
 class Dye(NamedTuple):
     """A way in which a material gets its colour, whatever that colour is.
 
-    name · share: of what is made of the material (assumed) · low, high: diffuse reflectance at 850 nm, drawn evenly · longer:
-    how many times that at 940 nm · to_the_eye: whether it absorbs near infrared as it does visible light, so that what is light in
-    colour is light there too.
+    name · share: of what is made of the material (assumed) · low, high: diffuse reflectance at 850 nm, drawn evenly ·
+    longer: how many times that at 940 nm · to_the_eye: whether it absorbs near infrared as it does visible light, so that what is
+    light in colour is light there too.
     """
 
     name: str
@@ -139,8 +139,8 @@ DYES: Mapping[str, tuple[Dye, ...]] = MappingProxyType(
 # By the colour that grows: least and most diffuse reflectance, at both wavelengths.
 HAIR: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "black": (0.05, 0.20), "dark_brown": (0.15, 0.35), "light_brown": (0.40, 0.60), "blond": (0.40, 0.60), "red": (0.40, 0.60),
-        "grey": (0.50, 0.70),
+        "black": (0.05, 0.20), "dark_brown": (0.15, 0.35), "light_brown": (0.40, 0.60), "blond": (0.40, 0.60),
+        "red": (0.40, 0.60), "grey": (0.50, 0.70),
     }
 )  # fmt: skip
 

@@ -40,9 +40,9 @@ class WornReflectance:
     faces: Bytes
 
     def labels(self, outfit: Outfit, wavelength_nm: Wavelength) -> tuple[float, ...]:
-        """What is on each place of the axis `worn` of datasets reflects, NaN where nothing is: of garments the cloth, not prints."""
+        """What is on each place of the axis `worn` of datasets reflects, NaN where nothing is."""
         wears = worn(outfit)
-        own = self.reflectance | {"beard": self.reflectance["hair"]}
+        own = {**self.reflectance, "beard": self.reflectance["hair"]}
         return tuple(
             own.get(place, _AT[wears[place][1]](wavelength_nm)) if wears.get(place, ("", ""))[1] else np.nan
             for place in AXES["worn"]
@@ -104,14 +104,12 @@ class Reflectances:
     def _draw_car(self, place: str) -> tuple[Coat, ...]:
         rng = own_rng(self._seed, f"near infrared of {place}")
         colours: Mapping[str, Floats] = draw_trim(rng=own_rng(self._seed, place)).colours()
-        return tuple(
-            Coat(
-                MATERIAL_ID[name],
-                MATERIAL_ID[name],
-                self._dyed(name, *rng.random(2).tolist(), float(rp.matmul(_LUMINANCE, colours[name]))),
-            )
-            for name in _OF_CARS
-        )
+        coats = []
+        for name in _OF_CARS:
+            kind, rank = rng.random(2).tolist()
+            value = self._dyed(name, kind, rank, float(rp.matmul(_LUMINANCE, colours[name])))
+            coats.append(Coat(MATERIAL_ID[name], MATERIAL_ID[name], value))
+        return tuple(coats)
 
     def _dyed(self, material: str, kind: float, rank: float, seen: float) -> float:
         """Of a material whose dye is drawn by `kind`, 0..1, over their shares."""

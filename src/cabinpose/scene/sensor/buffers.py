@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ def in_parts(dense: NDArray[Any], supersample: int) -> NDArray[Any]:
     return dense.reshape(height, s, width, s).swapaxes(1, 2).reshape(height * width, s * s)
 
 
+_OF_PIXELS = "depth_m", "cos_incidence", "material"
+_OF_MIXED = "mixed", "parts_depth_m", "parts_cos_incidence", "parts_material"
 _DTYPES = tuple(np.dtype(t) for t in (np.float32, np.float32, np.uint8, np.int32, np.float32, np.float32, np.uint8))
 
 
@@ -96,7 +98,7 @@ class GeometryBuffers:
 
     def first(self, number: int) -> GeometryBuffers:
         """The same with only so many mixed pixels."""
-        return GeometryBuffers(self.supersample, *self.arrays[:3], *(array[:number] for array in self.arrays[3:]), self.coats)
+        return replace(self, **{field: getattr(self, field)[:number] for field in _OF_MIXED})
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -106,14 +108,11 @@ class GeometryBuffers:
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """All arrays, in the order of the fields."""
-        return (
-            self.depth_m, self.cos_incidence, self.material,
-            self.mixed, self.parts_depth_m, self.parts_cos_incidence, self.parts_material,
-        )  # fmt: skip
+        return tuple(getattr(self, field) for field in (*_OF_PIXELS, *_OF_MIXED))
 
     def copy(self) -> GeometryBuffers:
         """The same in memory of its own."""
-        return GeometryBuffers(self.supersample, *(array.copy() for array in self.arrays), self.coats)
+        return replace(self, **{field: getattr(self, field).copy() for field in (*_OF_PIXELS, *_OF_MIXED)})
 
     def slots(self) -> Ints32:
         """(H, W): where in `mixed` each pixel is; -1 where it is not."""
