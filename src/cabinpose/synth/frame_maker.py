@@ -123,7 +123,7 @@ class FrameMaker:
         pictures: Mapping[str, Any] = {}
         if self._pictures is not None:
             with self.stage("pictures"):
-                table = material_table(True, True, 0.0, 0.0, self._sensor.wavelength_nm, found.coats)
+                table = material_table(True, False, 0.0, 0.0, self._sensor.wavelength_nm, found.coats)
                 pictures = self._pictures.take(scene, surface, near_infrared(found.surface, table), rng=rng)
         styled: Mapping[str, Any] = {}
         if self._styler is not None:
