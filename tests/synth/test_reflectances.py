@@ -11,12 +11,13 @@ import pytest
 
 from cabinpose.core import OCCUPANT_SLOTS
 from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
-from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype
+from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype, hair_shares
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, sensor_by_name, simulate
 from cabinpose.store import AXES
-from cabinpose.synth import FrameMaker, SynthConfig
+from cabinpose.synth import FrameMaker, People, RandomPeople, SynthConfig
 from cabinpose.synth.person_look import WORN, look_of, worn_faces
 from cabinpose.synth.reflectances import Reflectances
+from cabinpose.synth.subjects import Subjects
 
 LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
 
@@ -171,7 +172,7 @@ def test_smooth_surfaces_shine_where_they_face_the_camera(name: str) -> None:
     alpha, fresnel = material.roughness, 0.64 if name == "metal" else 0.04
     assert alpha is not None
     shape = (sensor.camera.height, sensor.camera.width)
-    angle = np.linspace(0, 0.5 * alpha, shape[1])
+    angle = np.linspace(0, 0.3 * alpha, shape[1])
     cosine = np.broadcast_to(np.cos(angle), shape).astype(np.float32)
     depth = (2.0 / sensor.camera.range_over_depth).astype(np.float32)
     scene = GeometryBuffers.dense(1, depth, cosine, np.full(shape, material.id, np.uint8))
@@ -179,9 +180,7 @@ def test_smooth_surfaces_shine_where_they_face_the_camera(name: str) -> None:
     bright = sensor.model_copy(update={"signal_e_per_s": 6e7})
     seen = simulate(scene, bright, quiet, rng=np.random.default_rng(0)).amplitude[140].astype(float)
     facets = np.exp(-(np.tan(angle) ** 2) / alpha**2) / (np.pi * alpha**2 * np.cos(angle) ** 4)
-    white = (
-        np.pi * fresnel * facets / (4 * np.cos(angle))
-    )  # light sent back, of a white Lambertian surface's that faces the camera
+    white = np.pi * fresnel * facets / (4 * np.cos(angle))  # of the light of a white surface
     expected = (material.reflectance * np.cos(angle) + white) * bright.signal_e * bright.contrast / 4.0
     ok = seen > 0
     assert ok.sum() > 200
@@ -195,3 +194,23 @@ def test_what_is_in_rooms_is_of_its_material() -> None:
     whole = Surface(*np.zeros((2, 1, 3), np.float32), surface.faces, *np.repeat(surface.material[None], 3, axis=0))
     assert found.of(scene, whole).coats == ()
     np.testing.assert_array_equal(found.of(scene, whole).surface.material, surface.material)
+
+
+def test_hair_is_worn_by_sex_and_age() -> None:
+    """Of a crowd, against the shares themselves and what sets them apart: long hair is women's, baldness old men's."""
+    crowd = Subjects(People(subjects=(), random=RandomPeople(count=600)), 2)
+    bodies = [crowd.body(f"R{k:04d}") for k in range(600)]
+    men = [(p, o) for p, o in bodies if p.gender < 0.5]
+    women = [(p, o) for p, o in bodies if p.gender > 0.5]
+
+    def share(people: list[tuple[Phenotype, Outfit]], *styles: str) -> float:
+        return float(np.mean([o.hair in styles for _, o in people]))
+
+    assert share(men, "short") > 0.55
+    assert share(women, "short") < 0.3
+    assert share(women, "long", "bun") > 0.35 > 0.15 > share(men, "long", "bun")
+    assert share(women, "bald") == 0.0
+    old = [(p, o) for p, o in men if p.years > 60]
+    expected = float(np.mean([hair_shares(p.gender, p.years)["bald"] for p, _ in old]))
+    assert share(old, "bald") == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / len(old)))
+    assert sum(hair_shares(0.3, 50.0).values()) == pytest.approx(1.0)

@@ -139,7 +139,7 @@ DYES: Mapping[str, tuple[Dye, ...]] = MappingProxyType(
 # By the colour that grows: least and most diffuse reflectance, at both wavelengths.
 HAIR: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "black": (0.05, 0.20), "dark_brown": (0.15, 0.35), "light_brown": (0.40, 0.60), "blond": (0.40, 0.60),
+        "black": (0.02, 0.08), "dark_brown": (0.15, 0.35), "light_brown": (0.40, 0.60), "blond": (0.40, 0.60),
         "red": (0.40, 0.60), "grey": (0.50, 0.70),
     }
 )  # fmt: skip
