@@ -48,15 +48,15 @@ _CAPS = (0x1F2329, 0x7A2226, 0x22365A, 0xC8C3B6, 0x44503C)
 _SOCKS = (0xDAD8D2, 0x202124, 0x3A4250)
 _PRINTS = (0x141414, 0x1A1B1F, 0x23262B, 0xE8E6E0, 0xB55A3C, 0x3F5F86, 0x2E4A3A, 0xD3B04A)
 # What is printed or woven into clothes: upper bounds of a number from 0 to 1 (shares assumed).
-_TOP_PATTERNS = (("", 0.65), ("stripes", 0.80), ("checks", 0.88), ("chest", 1.0))
+_TOP_PATTERNS = (("", 0.70), ("stripes", 0.88), ("checks", 1.0))
 _BOTTOM_PATTERNS = (("", 0.92), ("checks", 1.0))
 _PRINTED = ("t_shirt", "long_sleeve", "jumper", "trousers", "shorts")
-_STRIPE_M, _CHECK_M, _CHEST_M = 0.04, 0.05, (0.11, 0.09)
+_STRIPE_M, _CHECK_M = 0.04, 0.05
 _CLOTH = tuple(MATERIAL[name] for name in ("cotton", "denim", "wool", "synthetic_fabric"))
 _PLACE = np.full(256, NOT_WORN, np.uint8)  # of a material, where nothing else tells
 _PLACE[MATERIAL["skin"]], _PLACE[MATERIAL["hair"]] = WORN.index("skin"), WORN.index("hair")
 _PLACE[list(_CLOTH)], _PLACE[MATERIAL["leather_shoe"]] = WORN.index("bottom"), WORN.index("shoes")
-_FOOT, _TORSO = (np.isin(np.arange(256), [LABEL[f"{part}_{side}"] for side in ("left", "right")]) for part in ("foot", "torso"))
+_FOOT = np.isin(np.arange(256), [LABEL["foot_left"], LABEL["foot_right"]])
 
 
 class PersonLook(NamedTuple):
@@ -126,18 +126,12 @@ def worn_faces(person: Person, look: PersonLook) -> Bytes:
         if pattern:
             of = np.flatnonzero(place == WORN.index(part))
             middle = dressed.rest[dressed.faces[of]].mean(axis=1)
-            place[of[_printed(pattern, middle, _TORSO[dressed.label[of]])]] = WORN.index(f"{part}_print")
+            place[of[_printed(pattern, middle)]] = WORN.index(f"{part}_print")
     return place
 
 
-def _printed(pattern: str, at: Floats, torso: Bools) -> Bools:
+def _printed(pattern: str, at: Floats) -> Bools:
     """(N,) which triangles of a garment a pattern colours, by their middles at rest (N, 3) m."""
     if pattern == "stripes":
         return np.asarray(np.floor(at[:, 2] / _STRIPE_M) % 2 == 1)
-    if pattern == "checks":
-        return np.asarray((np.floor(at[:, 2] / _CHECK_M) + np.floor(at[:, 1] / _CHECK_M)) % 2 == 1)
-    if not torso.any():
-        return torso
-    x, _, z = at[torso].mean(axis=0)
-    half_y, half_z = _CHEST_M
-    return np.asarray(torso & (at[:, 0] > x) & (np.abs(at[:, 1]) < half_y) & (np.abs(at[:, 2] - z - half_z) < half_z))
+    return np.asarray((np.floor(at[:, 2] / _CHECK_M) + np.floor(at[:, 1] / _CHECK_M)) % 2 == 1)
