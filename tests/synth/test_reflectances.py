@@ -28,7 +28,7 @@ def man() -> Person:
 
 
 def drawn(man: Person, name: str, seed: int = 0, wavelength: Wavelength = 850) -> Mapping[str, float]:
-    return Reflectances(seed, wavelength)._person(name, man).reflectance
+    return Reflectances(seed, wavelength).person(name, man).reflectance
 
 
 def test_garments_go_by_dye_and_not_by_colour(man: Person) -> None:

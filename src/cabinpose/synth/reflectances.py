@@ -66,7 +66,7 @@ class Reflectances:
 
     def __init__(self, seed: int, wavelength_nm: Wavelength) -> None:
         self._seed, self._wavelength = seed, wavelength_nm
-        self._person = cached_once(_KEPT)(self._draw_person)
+        self.person = cached_once(_KEPT)(self._draw_person)
         self._car = cached_once(_KEPT)(self._draw_car)
 
     def of(self, scene: Scene, surface: Surface) -> SceneReflectance:
@@ -76,7 +76,7 @@ class Reflectances:
         labels = {}
         start = len(scene.backdrop.faces)
         for number, who in enumerate(scene.people):
-            found = self._person(who.subject, who.person)
+            found = self.person(who.subject, who.person)
             labels[who.slot] = found.labels(who.person.outfit, self._wavelength)
             if not who.surfaces:
                 continue
