@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator, Philox
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from cabinpose._native import sensor as native
 from cabinpose.core import Bools, ConfigError, Floats, Floats32
@@ -29,6 +29,15 @@ from cabinpose.scene.sensor.normals import normal_quantiles, random_words
 from cabinpose.scene.sensor.optics import PANES, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
 from cabinpose.scene.sensor.shade import light_shadow, sunlit
+
+Wiggling = Literal["calibrated", "uncalibrated"]
+# Share of a triangular correlation by name. What calibration leaves is assumed; without it a frame's four phases at 60 MHz have
+# 0.42 by `tools/real_tof.py`, and 0.51 to 0.58 in another reading of it.
+WIGGLING: Mapping[str, float] = MappingProxyType({"calibrated": 0.1, "uncalibrated": 0.5})
+
+
+def _by_name(given: object) -> object:
+    return WIGGLING.get(given, given) if isinstance(given, str) else given
 
 
 class PhysicalNoise(EdgeRule):
@@ -49,11 +58,10 @@ class PhysicalNoise(EdgeRule):
         default=True, description="Use the sensor's second modulation frequency, where it has one, to unwrap."
     )
     consistency: bool = Field(default=True, description="Pixels whose two phases belong to no single distance are invalid.")
-    wiggling: float = Field(
+    wiggling: Annotated[float, Field(ge=0, le=1), BeforeValidator(_by_name, json_schema_input_type=float | Wiggling)] = Field(
         default=0.1,
-        ge=0,
-        le=1,
-        description="Share of a triangular correlation left after calibration; 1 = up to 4.07 degrees of error.",
+        description="Share of a triangular correlation left: calibrated (0.1), uncalibrated (0.5), or 0..1; 1 = up to 4.07"
+        " degrees of error.",
     )
     stray_light: float = Field(
         default=0.003,
