@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,12 +20,15 @@ from scipy.optimize import nnls
 
 from cabinpose.app.view.draw import depth_image
 from cabinpose.core.camera import Camera
-from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
+from cabinpose.scene.labels import LABEL_ID
+from cabinpose.scene.materials import DYES, HAIR, MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, Sensor, simulate
 from cabinpose.scene.sensor.presets import SPEED_OF_LIGHT
 from cabinpose.signals.recorded import ToFFrame
+from cabinpose.store import AXES
 from cabinpose.store.convert.azure_mkv import read_azure_mkv
 from cabinpose.store.frames import write_png
+from cabinpose.synth import FrameMaker, room_preset
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -101,7 +105,7 @@ def same_scene(real: F64, camera: Camera, light: F64 | None) -> GeometryBuffers:
         normals = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1))
         rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
         cosine = np.abs(np.sum(normals * rays, axis=-1)) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-12)
-        cosine = 0.6 * np.clip(cosine, 0.3, 1.0)  # clothes, walls and floors: 0.45
+        cosine = np.clip(cosine, 0.3, 1.0)  # all of white paint, as walls are
     else:
         cosine = np.nan_to_num(light * (whole * camera.range_over_depth) ** 2)
     parts = [np.kron(a, np.ones((PARTS, PARTS))) for a in (whole, cosine)]
@@ -190,19 +194,54 @@ FLOOR, SPREAD = 48.0, 0.37  # of them, below which it gives no depth; and of the
 KINECT_LIGHT = 8.0  # exponent of its light's cosine, by the growth of sigma off the axis
 
 
-def kinect_v2(data: Path) -> tuple[list[Row], list[F64]]:
-    """Three people in a room."""
+# What the Kinect v2's frame shows inside silhouettes: left, top, right and bottom of boxes (px); and the band of reflectances
+# that `scene.materials` has for it, of which a tenth is taken at a time.
+BLACK = next((dye.low, dye.high) for dye in DYES["cotton"] if dye.name == "carbon black")
+BRIGHT = next((dye.low, dye.high) for dye in DYES["cotton"] if dye.name == "reactive")
+REGIONS = {
+    "black trousers at 3.4 m": (((333, 216, 363, 240), (331, 242, 340, 266), (345, 240, 357, 260)), BLACK),
+    "dark hair at 2.5 m": (((277, 83, 302, 96),), HAIR["black"]),
+    "bright clothes at 2.4 to 3.3 m": (((262, 130, 300, 200), (272, 245, 286, 300), (330, 165, 368, 205)), BRIGHT),
+}
+TURNED = 0.8  # cosine of incidence of a limb, in the mean (assumed): where depth is lost, the frame does not show it
+
+
+def inside(boxes: tuple[tuple[int, int, int, int], ...], shape: tuple[int, int]) -> Mask:
+    """(H, W): the pixels of boxes."""
+    where = np.zeros(shape, bool)
+    for left, top, right, bottom in boxes:
+        where[top:bottom, left:right] = True
+    return where
+
+
+def painted(scene: GeometryBuffers, where: Mask, reflectance: float) -> GeometryBuffers:
+    """A scene of white paint with another reflectance in some of its pixels."""
+    light = np.float32(TURNED * reflectance / MATERIALS[WALL].reflectance)
+    parts = np.where(where.ravel()[scene.mixed][:, None], light, scene.parts_cos_incidence)
+    return replace(scene, cos_incidence=np.where(where, light, scene.cos_incidence), parts_cos_incidence=parts)
+
+
+def lost_by_surface(real: F64, scene: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise) -> Iterator[Row]:
+    """Invalid shares of people's surfaces, with the reflectances that the generator draws for such ones."""
+    for name, (boxes, (low, high)) in REGIONS.items():
+        where = inside(boxes, scene.shape)
+        shares = [np.isnan(seen(painted(scene, where, r), sensor, noise)[where]).mean() for r in np.linspace(low, high, 10)]
+        print(f"{name}: invalid {shares[0]:.2f} at the least reflectance that is drawn, {shares[-1]:.2f} at the most")
+        yield f"Kinect v2: invalid, {name}", float(np.isnan(real[where]).mean()), float(np.mean(shares))
+
+
+def fitted_kinect(data: Path) -> tuple[F64, GeometryBuffers, Sensor, PhysicalNoise]:
+    """The frame of three people in a room, the same as geometry, and the camera by it."""
     with np.load(data / "tof" / "kinect_v2_panoptic.npz") as file:
         real = np.where(file["depth_m"] > 0, file["depth_m"], np.nan).astype(np.float64)
         k = file["camera_k"]
     camera = Camera(512, 424, *(float(k[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
-    v, u = np.mgrid[:424, :512]
-    radius = np.hypot(u - camera.cx, v - camera.cy)
     sensor = Sensor(
         name="kinect_v2", camera=camera, range_m=(0.5, 8.0), integration_s=1e-3, fps=30, frequencies_hz=(80e6, 16e6),
         illumination_exponent=KINECT_LIGHT,
     )  # fmt: skip
     scene = same_scene(real, camera, None)
+    radius = off_axis(camera)
     rim = (radius >= 212) & (radius < 260)
     middle = radius < 150
     flat = ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4)
@@ -212,6 +251,20 @@ def kinect_v2(data: Path) -> tuple[list[Row], list[F64]]:
     sensor = fitted_floor(scene, sensor, noise, rim, float(np.isnan(real[rim]).mean()))
     figures = f"{sensor.signal_e:.3g} electrons, at least {sensor.min_amplitude_e:.3g}"
     print(f"kinect v2: sigma {1e3 * sigma:.2f} mm in the middle; {figures}")
+    return real, scene, sensor, noise
+
+
+def off_axis(camera: Camera) -> F64:
+    """(H, W) px."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    return np.hypot(u - camera.cx, v - camera.cy)
+
+
+def kinect_v2(data: Path) -> tuple[list[Row], list[F64]]:
+    """Three people in a room."""
+    real, scene, sensor, noise = fitted_kinect(data)
+    radius = off_axis(sensor.camera)
+    flat = ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4)
     ours = seen(scene, sensor, noise)
     removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_threshold_m": 0.15}))
     region = radius < 145
@@ -229,7 +282,45 @@ def kinect_v2(data: Path) -> tuple[list[Row], list[F64]]:
         ring = (radius >= low) & (radius < high) & flat
         of = noise_of(real, ring, 1e-3), noise_of(ours - scene.depth_m, ring)
         rows.append((f"Kinect v2: σ from {low} to {high} px off the axis, mm", *(1e3 * s for s in of)))
+    rows += lost_by_surface(real, scene, sensor, noise)
     return rows, [real, ours, removed]
+
+
+# Of generated people: the classes of pixels, the place on the axis `worn` whose reflectance counts, its bounds, and what in the
+# real frame is such.
+LEGS = ("thigh_left", "thigh_right", "shin_left", "shin_right", "knee_left", "knee_right")
+GENERATED = {
+    "black trousers": (LEGS, "bottom", (0.0, 0.085), "black trousers at 3.4 m"),
+    "trousers that reflect 0.085 to 0.4": (LEGS, "bottom", (0.085, 0.4), None),
+    "bright trousers": (LEGS, "bottom", (0.4, 1.0), "bright clothes at 2.4 to 3.3 m"),
+    "dark hair": (("hair",), "hair", (0.0, 0.15), "dark hair at 2.5 m"),
+    "other hair": (("hair",), "hair", (0.15, 1.0), None),
+    "head without hair": (("head_left", "head_right"), "skin", (0.0, 1.0), None),
+}
+METRES = ((2.0, 3.0), (3.0, 4.0))
+
+
+def in_rooms(data: Path, frames: int) -> Iterator[tuple[str, ...]]:
+    """Invalid shares of generated people before that camera, by what they reflect and by distance, edges left out."""
+    real, _, sensor, noise = fitted_kinect(data)
+    asked = room_preset()
+    maker = FrameMaker(asked.model_copy(update={"camera": asked.camera.model_copy(update={"sensor": sensor}), "noise": noise}), 1)
+    middle = off_axis(sensor.camera) < 212
+    lost = {(name, bounds): [0, 0] for name in GENERATED for bounds in METRES}
+    for number in range(frames):
+        frame, _ = maker.make(number)
+        flat = middle & (frame["instance"] > 0) & ~ndimage.binary_dilation(silhouettes(frame["depth_clean"]), iterations=3)
+        for (name, bounds), count in lost.items():
+            labels, place, band, _ = GENERATED[name]
+            if band[0] <= frame["reflectance"][0, AXES["worn"].index(place)] < band[1]:
+                where = flat & np.isin(frame["labels"], [LABEL_ID[label] for label in labels])
+                where &= (frame["depth_clean"] >= bounds[0]) & (frame["depth_clean"] < bounds[1])
+                count[0] += int(np.isnan(frame["depth"][where]).sum())
+                count[1] += int(where.sum())
+    for name, (_, _, _, like) in GENERATED.items():
+        theirs = f"{np.isnan(real[inside(REGIONS[like][0], real.shape)]).mean():.3g}" if like else ""
+        shares = [lost[name, bounds] for bounds in METRES]
+        yield name, theirs, *(f"{bad / of:.3g}" if of > 200 else "" for bad, of in shares)
 
 
 def azure_kinect(data: Path) -> tuple[list[Row], list[F64]]:
@@ -289,6 +380,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--frames", type=int, default=200, help="of generated people in rooms")
     told = parser.parse_args()
     rows = list(raw_continuous_wave(told.data))
     for camera in (kinect_v2, azure_kinect):
@@ -302,6 +394,9 @@ def main() -> None:
     print("\n| statistic | real | simulated | ratio |\n|---|---|---|---|")
     for what, theirs, ours in rows:
         print(f"| {what} | {theirs:.3g} | {ours:.3g} | {ours / theirs if theirs else np.nan:.2f} |")
+    print("\n| surface | real | generated, 2 to 3 m | generated, 3 to 4 m |\n|---|---|---|---|")
+    for cells in in_rooms(told.data, told.frames):
+        print(f"| {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

@@ -19,12 +19,13 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, DependencyError
 from cabinpose.core.frames import invert, look_at
 from cabinpose.scene.labels import LABEL_ID as LABEL
-from cabinpose.scene.materials import MATERIALS
-from cabinpose.scene.sensor import SENSORS
+from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
+from cabinpose.scene.sensor import SENSORS, material_table
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import generate
+from cabinpose.synth.person_look import look_of
 from cabinpose.synth.pictures.denoise import denoised
 from cabinpose.synth.pictures.grid import grid_of, hits, without_panes
 from cabinpose.synth.pictures.light import Light, dome_directions, draw_light
@@ -218,12 +219,13 @@ def test_near_infrared_counts_the_electrons_of_the_sensor_model(renderer: Any, r
     wall, _ = plane(1.0)
     scene = Scene(wall, (), look_at((0, 0, 0), (1, 0, 0)), "somewhere", "view")
     maker = PictureMaker(Images(variables=("nir",), renderer=renderer, samples=16, light="night"), SMALL, 0)
-    taken = maker.take(scene, wall, rng=np.random.default_rng(0))
+    cotton = MATERIALS[MATERIAL_ID["cotton"]].reflectance
+    taken = maker.take(scene, wall, np.full((len(wall.faces), 3), cotton, np.float32), rng=np.random.default_rng(0))
     assert set(taken) == {"nir", "light", "renderer"}
     assert taken["nir"].dtype == np.uint16
     r = SMALL.camera.range_over_depth
     vignetting = (1 / r) ** SMALL.vignetting_exponent
-    expected = 0.65 * SMALL.signal_e / r**3 * vignetting  # cotton
+    expected = cotton * SMALL.signal_e / r**3 * vignetting
     ratio = taken["nir"] / expected
     assert abs(ratio.mean() - 1) < 0.01
     assert 0.3 < (ratio.std() / np.sqrt((1 / expected).mean())) < 3  # photon noise
@@ -232,7 +234,8 @@ def test_near_infrared_counts_the_electrons_of_the_sensor_model(renderer: Any, r
 def test_reflectances_of_the_near_infrared_are_the_sensors() -> None:
     scene = merge([room(), person(1)])
     table = {m.id: m.reflectance for m in MATERIALS}
-    np.testing.assert_allclose(near_infrared(scene)[:, 1], [table[m] for m in scene.material.tolist()])
+    found = near_infrared(scene, material_table(True, False, 0.0, 0.0))[:, 1]
+    np.testing.assert_allclose(found, [table[m] for m in scene.material.tolist()])
 
 
 def test_people_keep_their_looks_and_differ() -> None:
@@ -240,9 +243,9 @@ def test_people_keep_their_looks_and_differ() -> None:
 
     model = BodyModel.load()
     people = {name: model.person(s.phenotype, s.outfit) for name, s in list(SUBJECTS.items())[:3]}
-    looks = {name: person_colours(p, rng=own_rng(4, name)) for name, p in people.items()}
+    looks = {name: person_colours(p, look_of(p, 4, name), rng=own_rng(4, name)) for name, p in people.items()}
     for name, p in people.items():
-        np.testing.assert_array_equal(looks[name], person_colours(p, rng=own_rng(4, name)))
+        np.testing.assert_array_equal(looks[name], person_colours(p, look_of(p, 4, name), rng=own_rng(4, name)))
         assert looks[name].shape == (len(p.dressed.faces), 3)
         assert 0 <= looks[name].min() <= looks[name].max() <= 0.9
     skins = [np.median(looks[n][(p.dressed.material == 1)], axis=0) for n, p in people.items()]
@@ -271,7 +274,8 @@ def test_garments_have_one_colour_each() -> None:
     from cabinpose.scene.body import BodyModel, Outfit, Phenotype
 
     p = BodyModel.load().person(Phenotype(), Outfit(top="t_shirt", bottom="trousers"))  # both cotton
-    colours = person_colours(p, rng=own_rng(0, "x"))
+    look = look_of(p, 0, "x")._replace(patterns={})
+    colours = person_colours(p, look, rng=own_rng(0, "x"))
     cotton = p.dressed.material == 3
     top, rest = colours[cotton & p.dressed.is_top], colours[cotton & ~p.dressed.is_top]
     assert min(len(top), len(rest)) > 500

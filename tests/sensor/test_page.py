@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabinpose.scene import MATERIAL_ID
+from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN
 from cabinpose.scene.sensor import SENSORS, GeometryBuffers, PhysicalNoise, simulate
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -74,3 +74,25 @@ def test_other_cameras_noise_is_that_of_the_table() -> None:
                     name,
                     heading,
                 )
+
+
+def test_reflectances_are_those_of_the_tables() -> None:
+    """Each row of the page is a row of the code, and has a source or the word that there is none."""
+    tables = json.loads((DOCS / "figures" / "sensor-model.json").read_text("utf-8"))["tables"]
+    materials, dyes, hair, skin = (table["rows"][1:] for table in tables if table["section"] == "Reflectance")
+    assert [(row[0].strip("`"), *map(float, row[1:3]), row[3]) for row in materials] == [
+        (m.name, m.reflectance, m.reflectance_940, f"{m.roughness:.2f}" if m.roughness else "") for m in MATERIALS[1:]
+    ]
+    assert [(name.strip("`"), dye, share, band, longer, eye) for name, dye, share, band, longer, eye, _ in dyes] == [
+        (name, d.name, f"{d.share:.2f}", f"{d.low:.2f} to {d.high:.2f}", f"{d.longer:.2f}", "yes" if d.to_the_eye else "")
+        for name, of in DYES.items()
+        for d in of
+    ]
+    assert [(row[0].replace(" ", "_"), row[1]) for row in hair] == [(n, f"{a:.2f} to {b:.2f}") for n, (a, b) in HAIR.items()]
+    assert [(float(row[0]), *row[1:3]) for row in skin] == [
+        (s.tone, *("{:.3f} ± {:.3f}".format(*at) for at in (s.at_850, s.at_940))) for s in SKIN
+    ]
+    for row in (*materials, *dyes, *hair):
+        assert "assumed" in row[-1] or re.search(r"\[[123]\]", row[-1]), row
+    for shares in DYES.values():
+        assert sum(dye.share for dye in shares) == pytest.approx(1.0)

@@ -113,6 +113,15 @@ def test_wiggling_has_its_closed_form() -> None:
     assert np.ptp(error) * 1e3 == pytest.approx(67.8, abs=0.15)
 
 
+def test_wiggling_has_names() -> None:
+    assert PhysicalNoise.model_validate({"wiggling": "calibrated"}) == PhysicalNoise()
+    assert PhysicalNoise.model_validate({"wiggling": "uncalibrated"}).wiggling == 0.5
+    assert PhysicalNoise.model_validate({"wiggling": 0.42}).wiggling == 0.42
+    for wrong in ("none", 1.5, []):
+        with pytest.raises(ValueError, match="wiggling"):
+            PhysicalNoise.model_validate({"wiggling": wrong})
+
+
 def test_residual_wiggling_is_a_share() -> None:
     sensor = small_sensor()
     shape = (sensor.camera.height, sensor.camera.width)

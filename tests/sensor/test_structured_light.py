@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sensor_scenes import generator, step_edge, wall
 
-from cabinpose.scene.materials import MATERIAL_ID
+from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import SENSORS, GeometryBuffers, StructuredLightNoise, simulate
 
 KINECT = SENSORS["kinect_v1"]
@@ -74,7 +74,8 @@ def test_grazing_and_dark_surfaces_are_holes() -> None:
     holes = np.isnan(simulate(tilted, KINECT, QUIET.model_copy(update={"grazing_deg": 80.0}), rng=generator(1, 1)).depth_m)
     np.testing.assert_array_equal(holes, cosine < np.cos(np.radians(80)))
     dark = GeometryBuffers.dense(1, flat.depth_m, flat.cos_incidence, np.full_like(flat.material, MATERIAL_ID["rubber"]))
-    noise = QUIET.model_copy(update={"min_return": 0.05 / 4})  # the very light that rubber returns at 2 m
+    black = MATERIALS[MATERIAL_ID["rubber"]].reflectance
+    noise = QUIET.model_copy(update={"min_return": black / 4})  # the very light that rubber returns at 2 m
     assert np.isnan(simulate(dark, KINECT, noise, rng=generator(1, 1)).depth_m).mean() == pytest.approx(0.5, abs=0.02)
     assert np.isfinite(simulate(flat, KINECT, noise, rng=generator(1, 1)).depth_m).all()
 

@@ -7,9 +7,17 @@ from .labels import RGB as RGB
 from .labels import THING_LABELS as THING_LABELS
 from .labels import coarse_labels as coarse_labels
 from .labels import ticam_class as ticam_class
+from .materials import DYES as DYES
+from .materials import FIRST_COAT as FIRST_COAT
+from .materials import HAIR as HAIR
 from .materials import MATERIAL_ID as MATERIAL_ID
 from .materials import MATERIALS as MATERIALS
 from .materials import OF_THINGS as OF_THINGS
+from .materials import SKIN as SKIN
+from .materials import SKIN_LIMITS as SKIN_LIMITS
+from .materials import Coat as Coat
+from .materials import Dye as Dye
+from .materials import Wavelength as Wavelength
 from .room import ROOM_VIEWS as ROOM_VIEWS
 from .room import Room as Room
 from .room import furnish_room as furnish_room

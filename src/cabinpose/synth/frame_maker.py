@@ -6,13 +6,16 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cabinpose.core import CABINPOSE, apply, invert
-from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, median_of_valid, sample_times, simulate
+from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, median_of_valid, sample_times, simulate
 from cabinpose.synth.config import SynthConfig, person_slots
+from cabinpose.synth.pictures.look import near_infrared
+from cabinpose.synth.reflectances import Reflectances
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
@@ -36,6 +39,7 @@ class FrameMaker:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.sampler = sampler or SceneSampler(config, seed)
         self._sensor = config.camera.sensor_model
+        self._reflectances = Reflectances(seed, self._sensor.wavelength_nm)
         self._rasteriser = Rasteriser(self._sensor.camera, supersample=config.camera.supersample)
         self._sequence = config.scene.sequence
         moving = self._sequence is not None and self._sequence.exposure_motion
@@ -103,29 +107,33 @@ class FrameMaker:
             views = {id(moment): self._view(moment) for moment in {id(m): m for m in exposures if m is not scene}.values()}
         with self.stage("assemble"):
             surface = scene.surface()
+            found = self._reflectances.of(scene, surface)
         camera_from_world = invert(scene.world_from_camera)
         with self.stage("render"):
             joints_3d = np.full((len(self._slots), len(CABINPOSE.joints), 3), np.nan)
             for person in scene.people:
                 joints_3d[self._slots.index(person.slot)] = apply(camera_from_world, person.posed.joints)
             rendered = self._rasteriser.render(
-                surface, camera_from_world, closed=scene.closed, joints=joints_3d, instances=self._instances
+                found.surface, camera_from_world, closed=scene.closed, joints=joints_3d, instances=self._instances
             )
+            buffers = replace(rendered.buffers, coats=found.coats)
         with self.stage("sensor"):
-            taken = [views.get(id(moment), rendered.buffers) for moment in exposures]
-            sensed = simulate(rendered.buffers, self._sensor, self.config.noise, rng=rng, exposures=taken)
+            taken = [views.get(id(moment), buffers) for moment in exposures]
+            sensed = simulate(buffers, self._sensor, self.config.noise, rng=rng, exposures=taken)
         pictures: Mapping[str, Any] = {}
         if self._pictures is not None:
             with self.stage("pictures"):
-                pictures = self._pictures.take(scene, surface, rng=rng)
+                table = material_table(True, False, 0.0, 0.0, self._sensor.wavelength_nm, found.coats)
+                pictures = self._pictures.take(scene, surface, near_infrared(found.surface, table), rng=rng)
         styled: Mapping[str, Any] = {}
         if self._styler is not None:
             with self.stage("style"):
                 styled = self._styler.take(sensed.depth_m, rendered.depth_clean, rendered.labels, rendered.instance, rng=rng)
-        facts = FrameFacts(self.config, self._seed, self._slots, scene, joints_3d, rendered, sensed, pictures, styled)
+        facts = FrameFacts(self.config, self._seed, self._slots, scene, joints_3d, found.worn, rendered, sensed, pictures, styled)
         return {name: value for row in self._rows for name, value in row.make(facts).items()}
 
     def _view(self, scene: Scene) -> GeometryBuffers:
         """What the camera sees of a scene."""
-        rendered = self._rasteriser.render(scene.surface(), invert(scene.world_from_camera), closed=scene.closed)
-        return rendered.buffers.copy()
+        found = self._reflectances.of(scene, scene.surface())
+        rendered = self._rasteriser.render(found.surface, invert(scene.world_from_camera), closed=scene.closed)
+        return replace(rendered.buffers, coats=found.coats).copy()

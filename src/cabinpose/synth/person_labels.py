@@ -6,6 +6,7 @@ Each function gives variables of the dataset standard by name, over places (P, .
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -13,7 +14,6 @@ import numpy as np
 
 from cabinpose.core import ConfigError, Floats
 from cabinpose.core import reproducible as rp
-from cabinpose.scene import MATERIALS
 from cabinpose.scene.body import CHILD_YEARS, Person, load_population, worn
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.scene.things import CHILD_SEAT_LABELS, PlacedThing
@@ -26,7 +26,6 @@ from cabinpose.synth.scene import Scene, ScenePerson
 INFANT_YEARS = 1.0  # who is younger is an infant: assumed, as Euro NCAP's dummies Q0 and Q1 divide them
 _RIM_SLACK_M = 0.03  # of the middle of a palm from the rim's centre line, of a hand that is on it: assumed
 _WEARS = AXES["worn"]
-_REFLECTANCE = {material.name: material.reflectance for material in MATERIALS}
 _HANDS = 2
 _STANCE = {"carrier": "lying", "bench": "lying", "standing": "standing", "footwell": "crouching"}  # of who is where
 
@@ -41,7 +40,6 @@ class _Body(NamedTuple):
     population: str
     percentiles: tuple[float, float]
     outfit: tuple[str, ...]
-    reflectance: tuple[float, ...]
 
 
 @lru_cache(maxsize=64)
@@ -65,12 +63,11 @@ def _body(person: Person) -> _Body:
     return _Body(
         sex, phenotype.years, person.stature_m, mass, population, percentiles,
         tuple(wears[place][0] if place in wears else "" for place in _WEARS),
-        tuple(_REFLECTANCE[wears[place][1]] if wears.get(place, ("", ""))[1] else math.nan for place in _WEARS),
     )  # fmt: skip
 
 
-def body_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
-    """Sex, age, stature, mass and percentiles, clothes and their reflectance."""
+def body_labels(scene: Scene, slots: tuple[str, ...], worn_reflectance: Mapping[str, tuple[float, ...]]) -> dict[str, Any]:
+    """Sex, age, stature, mass and percentiles, clothes and their reflectance (by slot, over the axis `worn`)."""
     there = {slots.index(who.slot): _body(who.person) for who in scene.people}
 
     def number(of: str) -> Floats:
@@ -79,15 +76,14 @@ def body_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Any]:
     def text(of: str) -> list[str]:
         return [getattr(there[row], of) if row in there else "" for row in range(len(slots))]
 
-    nobody = (math.nan, math.nan), ("",) * len(_WEARS), (math.nan,) * len(_WEARS)
-    rows = [
-        (body.percentiles, body.outfit, body.reflectance) if (body := there.get(row)) else nobody for row in range(len(slots))
-    ]
+    nobody = (math.nan, math.nan), ("",) * len(_WEARS)
+    rows = [(body.percentiles, body.outfit) if (body := there.get(row)) else nobody for row in range(len(slots))]
     percentiles = np.array([each[0] for each in rows], np.float32)
     return {
         "sex": text("sex"), "age": number("age"), "stature": number("stature"), "mass": number("mass"),
         "population": text("population"), "stature_percentile": percentiles[:, 0], "mass_percentile": percentiles[:, 1],
-        "outfit": [list(each[1]) for each in rows], "reflectance": np.array([each[2] for each in rows], np.float32),
+        "outfit": [list(each[1]) for each in rows],
+        "reflectance": np.array([worn_reflectance.get(slot, (math.nan,) * len(_WEARS)) for slot in slots], np.float32),
     }  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from cabinpose.scene.body import (
     Sex,
     age_of,
     face_number,
+    hair_shares,
     load_population,
     usual_stature_m,
 )
@@ -82,13 +83,13 @@ class Subjects:
             if population is None or not population.has(years):
                 population = load_population("nhanes" if years >= SEATED_YEARS else "cdc")
             body = replace(Phenotype.of_size(population.draw(rng=rng, years=(years, years)), rng=rng), face=face)
-            return body, _suited(Outfit.random(rng=rng), body)
+            return body, _suited(Outfit.random(rng=rng, hair=hair_shares(body.gender, body.years)), body)
         crowd = self._people.random
         if crowd is None or not name.startswith("R"):
             raise unknown_name("subject", name, self._people.names)
         rng = frame_rng(self._seed, PEOPLE_STREAM - int(name[1:]))
         phenotype = replace(crowd.draw(rng=rng), face=face)
-        return phenotype, _suited(Outfit.random(rng=rng), phenotype)
+        return phenotype, _suited(Outfit.random(rng=rng, hair=hair_shares(phenotype.gender, phenotype.years)), phenotype)
 
     def _old_enough(self, name: str) -> bool:
         """Whether somebody drives in this dataset."""

@@ -34,7 +34,7 @@ class FrameFacts:
     """All that is known of a frame: what its variables are made of.
 
     slots: the places (P,) of the dataset · joints_3d: (P, 20, 3) m, camera frame, NaN for places where
-    nobody is · rendered, sensed: the
+    nobody is · reflectance: of what each person wears, by slot · rendered, sensed: the
     scene as it is and as the camera delivers it · pictures, styled: what was made beside them, by name.
     """
 
@@ -43,6 +43,7 @@ class FrameFacts:
     slots: tuple[str, ...]
     scene: Scene
     joints_3d: Floats
+    reflectance: Mapping[str, tuple[float, ...]]
     rendered: RenderedFrame
     sensed: SensorFrame
     pictures: Mapping[str, Any]
@@ -118,7 +119,7 @@ TABLE: tuple[Made, ...] = (
         lambda config: [joints_variable(each.name) for each in config.skeletons],
         lambda facts: {joints_variable(each.name): facts.joints(each) for each in facts.config.skeletons},
     ),
-    _labels(body_labels),
+    Made(_always, lambda facts: body_labels(facts.scene, facts.slots, facts.reflectance)),
     _labels(occupancy_labels),
     _labels(doing_labels),
     Made(_always, lambda facts: gaze_labels(facts.scene, facts.slots, target=facts.config.output.gaze)),
@@ -161,6 +162,10 @@ def build_manifest(config: SynthConfig, frames: int, seed: int) -> Manifest:
         labels=[label._asdict() | {"ticam": ticam_class(label)} for label in LABELS if label.name not in absent]
         if things
         else [label._asdict() for label in LABELS if label not in THING_LABELS],
-        materials=[{"id": m.id, "name": m.name, "reflectance": m.reflectance} for m in MATERIALS if things or m not in OF_THINGS],
+        materials=[
+            {"id": m.id, "name": m.name, "reflectance": m.at(config.camera.sensor_model.wavelength_nm)}
+            for m in MATERIALS
+            if things or m not in OF_THINGS
+        ],
         variables=[name for row in TABLE for name in row.names(config) if name in OPTIONAL],  # what not every dataset has
     )

@@ -43,15 +43,14 @@ struct ContinuousWave {
   Array<const float, any, any> parts_range_over_depth;  // (H * W, n) at the parts of all pixels
   Array<const float, any, any> gain;                    // electrons per unit of energy, 0 outside the field
   Array<const float, any, any> ambient_gain;            // electrons per unit of ambient light
-  Array<const float, 256, 3> table;                     // by material: diffuse reflectance, specular peak, ambient light
-  double gloss_width;                                   // 1 - cosine of the width of the specular lobe
+  Finishes table;
   Array<const double, any> frequencies;                 // Hz: one, or two
   std::pair<int, int> frequency_ratio;                  // p : q of the two
   double near, far;                                     // m along the axis
   Array<const float, any, any, any>
       indirect;  // (H, 1 + 2 F, W) energy and (cos, sin) a frequency of indirect light, or (0, ., .)
 
-  CABINPOSE_FIELDS(ContinuousWave, range_over_depth, parts_range_over_depth, gain, ambient_gain, table, gloss_width, frequencies,
+  CABINPOSE_FIELDS(ContinuousWave, range_over_depth, parts_range_over_depth, gain, ambient_gain, table, frequencies,
                    frequency_ratio, near, far, indirect)
 };
 
@@ -129,7 +128,7 @@ struct Light {
   Index frequencies = camera.frequencies.size();
   Index planes = phasors + 2 * frequencies + (effects.wrapping ? 0 : 1);
   Index parts = view.parts_depth_m.size(1), most_pixels = std::max<Index>(1, samples_at_a_time / parts);
-  Surfaces surfaces{camera.table, effects.incidence, static_cast<float>(1.0 / camera.gloss_width)};
+  Surfaces surfaces{camera.table, effects.incidence};
   float share = static_cast<float>(effects.blur);
   float per_m[most_frequencies] = {};                 // turns of the phase per metre of range
   double total[phasors + 2 * most_frequencies] = {};  // of each plane over the image (electrons)

@@ -106,9 +106,9 @@ void simulate_empirical(const View& view, const SurfaceOptics& optics, const Rea
   float *depth = memory.data(), *noisy = depth + n, *sigma = noisy + n, *normals = sigma + n;
   depth_of_one_surface(view, depth);
   const std::uint8_t* material = view.material.data();
-  const float* table = optics.table.data();
+  const bool* panes = optics.panes.data();
   if (effects.glass) {
-    for (Index i = 0; i < n; ++i) depth[i] = table[3 * material[i] + 1] > 0.0f ? 0.0f : depth[i];
+    for (Index i = 0; i < n; ++i) depth[i] = panes[material[i]] ? 0.0f : depth[i];
   }
   for (Index v = 0; v < height; ++v) {
     const std::uint16_t* rank = ranks[v].data();

@@ -16,7 +16,7 @@ struct LitScene {
   Array<const float, any, any, 2> rays;       // x, y of the rays (x, y, 1), NaN outside the lens model
   Array<const float, any, any> flux;          // (h, w): of the light into each cell of step x step pixels
   Array<const float, any, any> illumination;  // radiant intensity of the light along the rays
-  Array<const float, 256, 3> table;           // by material, diffuse reflectance first
+  Finishes table;
   Array<const double, any> frequencies;       // Hz
   int step, bounces;                          // pixels of a cell's side; surfaces between the light and what the camera sees
   double unseen, unseen_area, unseen_path;    // reflectance, area (m^2) and length of the way by (m) what the camera does not see
@@ -304,13 +304,13 @@ void to_camera(const Scene& scene, Index v, float* row) {
   const float *rays = &lit.rays(v, 0, 0), *illumination = &lit.illumination(v, 0), *table = lit.table.data();
   const float* depth = &scene.view.depth_m(v, 0);
   const std::uint8_t* material = &scene.view.material(v, 0);
-  for (Index u = 0; u < width; ++u) row[u] *= table[3 * material[u]] / illumination[u];
+  for (Index u = 0; u < width; ++u) row[u] *= table[finish_columns * material[u]] / illumination[u];
   for (Index f = 0; f < scene.frequencies; ++f) {
     float* __restrict re = row + (1 + 2 * f) * width, * __restrict im = row + (2 + 2 * f) * width;
     const float per_m = scene.per_m[f];
     for (Index u = 0; u < width; ++u) {
       const float x = rays[2 * u], y = rays[2 * u + 1], range = depth[u] * std::sqrt(1.0f + x * x + y * y);
-      const float own = table[3 * material[u]] / illumination[u], a = own * re[u], b = own * im[u];
+      const float own = table[finish_columns * material[u]] / illumination[u], a = own * re[u], b = own * im[u];
       float c, s;
       cosine_and_sine(where(range > 0.0f, range) * per_m, c, s);  // NaN outside the lens model
       re[u] = a * c - b * s;

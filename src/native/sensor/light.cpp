@@ -9,53 +9,64 @@ namespace cabinpose {
 
 namespace {
 
+constexpr Index finished_at_a_time = 512;  // samples of which all columns of the table stay in the first cache
+
 /// The columns of `table` for n samples.
-inline void look_up(const std::uint8_t* material, Index n, const float* table, float* first, float* second, float* third) {
+inline void look_up(const std::uint8_t* material, Index n, const float* table, float* const (&columns)[finish_columns]) {
   for (Index i = 0; i < n; ++i) {
-    const float* of = table + 3 * material[i];
-    first[i] = of[0];
-    second[i] = of[1];
-    third[i] = of[2];
+    const float* of = table + finish_columns * material[i];
+    for (Index k = 0; k < finish_columns; ++k) columns[k][i] = of[k];
   }
 }
 
 constexpr float triangle_peak = static_cast<float>(3.14159265358979323846 * 3.14159265358979323846 / 8);
 
-}  // namespace
-
-void light_of_samples(const Samples& samples, Index n, const Surfaces& surfaces, float* __restrict range,
-                      float* __restrict energy, float* __restrict ambient) {
+/// The same of `finished_at_a_time` samples at most.
+void light_of_some(const Samples& samples, Index n, const Surfaces& surfaces, float* __restrict range, float* __restrict energy,
+                   float* __restrict ambient) {
   const float* __restrict depth = samples.depth;
   const float* __restrict cosine = samples.cos_incidence;
   const float* __restrict factor = samples.range_over_depth;
   const std::uint8_t* __restrict material = samples.material;
   const float* __restrict table = surfaces.table.data();
-  const float inverse_gloss = surfaces.inverse_gloss, nothing = table[2];
+  const float nothing = table[2];
   const bool lambert = surfaces.lambert;
-  // Neighbours are mostly of one material.
+  alignas(64) float narrowness[finished_at_a_time];
+  // Neighbours are mostly of one material. What is looked up is kept for the second loop, which is free of look-ups.
   Index at = 0;
   for (; at + 8 <= n; at += 8) {
     std::uint64_t eight;
     std::memcpy(&eight, material + at, sizeof eight);
-    const float* of = table + 3 * material[at];
+    const float* of = table + finish_columns * material[at];
     if (eight == material[at] * 0x0101010101010101u) {
-      std::fill_n(range + at, 8, of[0]);  // kept here for the second loop, which is free of look-ups
+      std::fill_n(range + at, 8, of[0]);
       std::fill_n(energy + at, 8, of[1]);
       std::fill_n(ambient + at, 8, of[2]);
+      std::fill_n(narrowness + at, 8, of[3]);
     } else {
-      look_up(material + at, 8, table, range + at, energy + at, ambient + at);
+      look_up(material + at, 8, table, {range + at, energy + at, ambient + at, narrowness + at});
     }
   }
-  look_up(material + at, n - at, table, range + at, energy + at, ambient + at);
+  look_up(material + at, n - at, table, {range + at, energy + at, ambient + at, narrowness + at});
   for (Index i = 0; i < n; ++i) {
     const float r = depth[i] * factor[i], c = cosine[i];
-    const float lobe = 1.0f - (1.0f - c) * inverse_gloss;
+    const float lobe = 1.0f - (1.0f - c) * narrowness[i];
     const float gloss = lobe > 0.0f ? lobe : 0.0f;
     const bool hit = r > 0.0f;
     const float light = ambient[i];
     energy[i] = where(hit, (range[i] * (lambert ? c : 1.0f) + energy[i] * gloss * gloss) / (r * r));
     ambient[i] = hit ? light : nothing;
     range[i] = where(hit, r);
+  }
+}
+
+}  // namespace
+
+void light_of_samples(const Samples& samples, Index n, const Surfaces& surfaces, float* range, float* energy, float* ambient) {
+  for (Index first = 0; first < n; first += finished_at_a_time) {
+    const Samples some{samples.depth + first, samples.cos_incidence + first, samples.material + first,
+                       samples.range_over_depth + first};
+    light_of_some(some, std::min(finished_at_a_time, n - first), surfaces, range + first, energy + first, ambient + first);
   }
 }
 

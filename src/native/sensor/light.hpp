@@ -34,9 +34,8 @@ struct Samples {
 
 /// How surfaces return light, relative to a white surface that faces the camera at 1 m.
 struct Surfaces {
-  Array<const float, 256, 3> table;  // by material: diffuse reflectance, specular peak, ambient light returned
-  bool lambert;                      // light returned falls with the cosine of incidence
-  float inverse_gloss;               // 1 / (1 - cosine) of the width of the specular lobe
+  Finishes table;
+  bool lambert;  // diffuse light returned falls with the cosine of incidence
 };
 
 /// Range (m), energy (rho cos / r^2) and ambient light of n samples.

@@ -30,7 +30,7 @@ void geometric_amplitude(const float* depth, const View& view, const SurfaceOpti
   const std::uint8_t* material = view.material.data();
   for (Index i = 0; i < view.depth_m.count(); ++i) {
     const float ray = depth[i] * range_over_depth[i], r = ray > 0.05f ? ray : 0.05f;
-    const float amplitude = scale[i] * table[3 * material[i]] * cosine[i] / (r * r);
+    const float amplitude = scale[i] * table[finish_columns * material[i]] * cosine[i] / (r * r);
     const float within = depth[i] > 0.0f && scale[i] > 0.0f ? amplitude : 0.0f;
     out[i] = static_cast<std::uint16_t>(static_cast<std::int32_t>(within < 65535.0f ? within : 65535.0f));
   }

@@ -21,14 +21,19 @@ struct View {
   CABINPOSE_FIELDS(View, supersample, depth_m, cos_incidence, material, mixed, parts_depth_m, parts_cos_incidence, parts_material)
 };
 
+/// How surfaces return light, by material: diffuse reflectance, specular peak, ambient light returned, 1 / width of the specular lobe.
+inline constexpr Index finish_columns = 4;
+using Finishes = Array<const float, 256, finish_columns>;
+
 /// Lens and light of a camera whose noise model sees one surface a pixel, images (H, W): Python's `SurfaceOptics`.
 struct SurfaceOptics {
   Array<const float, any, any> range_over_depth;
   Array<const float, any, any> amplitude_scale;  // electrons of a white surface that faces the camera at 1 m, 0 outside the field
   Array<const bool, any, any> field;             // inside the image circle
-  Array<const float, 256, 3> table;              // by material: diffuse reflectance, specular peak of panes, (unused)
+  Finishes table;
+  Array<const bool, 256> panes;  // which materials are panes of glass
 
-  CABINPOSE_FIELDS(SurfaceOptics, range_over_depth, amplitude_scale, field, table)
+  CABINPOSE_FIELDS(SurfaceOptics, range_over_depth, amplitude_scale, field, table, panes)
 };
 
 /// What a camera delivers, each (H, W): Python's `SensorFrame`.

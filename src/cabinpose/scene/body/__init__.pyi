@@ -11,6 +11,7 @@ from .model import BodyModel as BodyModel
 from .model import Person as Person
 from .model import PosedBody as PosedBody
 from .outfit import Outfit as Outfit
+from .outfit import hair_shares as hair_shares
 from .phenotype import CHILD_YEARS as CHILD_YEARS
 from .phenotype import DEFAULT_RANGES as DEFAULT_RANGES
 from .phenotype import SEATED_YEARS as SEATED_YEARS

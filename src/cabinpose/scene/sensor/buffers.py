@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import Bytes, ConfigError, Floats32, Ints32
+from cabinpose.scene.materials import Coat
 
 
 def centre_part(supersample: int) -> int:
@@ -23,6 +24,8 @@ def in_parts(dense: NDArray[Any], supersample: int) -> NDArray[Any]:
     return dense.reshape(height, s, width, s).swapaxes(1, 2).reshape(height * width, s * s)
 
 
+_OF_PIXELS = "depth_m", "cos_incidence", "material"
+_OF_MIXED = "mixed", "parts_depth_m", "parts_cos_incidence", "parts_material"
 _DTYPES = tuple(np.dtype(t) for t in (np.float32, np.float32, np.uint8, np.int32, np.float32, np.float32, np.uint8))
 
 
@@ -32,11 +35,12 @@ class GeometryBuffers:
 
     depth_m: (H, W) float32, z along the optical axis in metres at the pixel's centre, 0 where nothing was hit ·
     cos_incidence: (H, W) float32, cosine of the angle between the ray and the surface normal, 0..1 ·
-    material: (H, W) uint8, ids of `scene.materials` ·
+    material: (H, W) uint8, ids of `scene.materials`, or codes of `coats` ·
     mixed: (M,) int32, flat indices, in any order, of the pixels whose light is the mean of their parts': those that see an edge,
     a crease or a steep surface. The other pixels see one smooth surface, whose centre stands for all of it ·
     parts_depth_m, parts_cos_incidence, parts_material: (M, s * s), the same at the centres of the parts of these pixels, row by
-    row: pixels of `camera.scaled(s)`.
+    row: pixels of `camera.scaled(s)` ·
+    coats: what surfaces of the scene's own codes reflect, in place of materials.
     """
 
     supersample: int
@@ -47,6 +51,7 @@ class GeometryBuffers:
     parts_depth_m: Floats32
     parts_cos_incidence: Floats32
     parts_material: Bytes
+    coats: tuple[Coat, ...] = ()
 
     def __post_init__(self) -> None:
         shape, parts = self.depth_m.shape, (len(self.mixed), self.supersample**2)
@@ -93,7 +98,7 @@ class GeometryBuffers:
 
     def first(self, number: int) -> GeometryBuffers:
         """The same with only so many mixed pixels."""
-        return GeometryBuffers(self.supersample, *self.arrays[:3], *(array[:number] for array in self.arrays[3:]))
+        return replace(self, **{field: getattr(self, field)[:number] for field in _OF_MIXED})
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -103,14 +108,11 @@ class GeometryBuffers:
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """All arrays, in the order of the fields."""
-        return (
-            self.depth_m, self.cos_incidence, self.material,
-            self.mixed, self.parts_depth_m, self.parts_cos_incidence, self.parts_material,
-        )  # fmt: skip
+        return tuple(getattr(self, field) for field in (*_OF_PIXELS, *_OF_MIXED))
 
     def copy(self) -> GeometryBuffers:
         """The same in memory of its own."""
-        return GeometryBuffers(self.supersample, *(array.copy() for array in self.arrays))
+        return replace(self, **{field: getattr(self, field).copy() for field in (*_OF_PIXELS, *_OF_MIXED)})
 
     def slots(self) -> Ints32:
         """(H, W): where in `mixed` each pixel is; -1 where it is not."""

@@ -52,5 +52,5 @@ class EmpiricalNoise(EdgeRule):
         height, width = buffers.shape
         frame = SensorFrame.empty(buffers.shape)
         ranks = random_words((height, (width + 3) // 4), rng=rng).view(np.uint16)
-        native.simulate_empirical(buffers, surface_optics(sensor), sensor, self, ranks, normal_quantiles(), frame)
+        native.simulate_empirical(buffers, surface_optics(sensor, buffers.coats), sensor, self, ranks, normal_quantiles(), frame)
         return frame

@@ -7,26 +7,37 @@ Sensors", Siegen, 2000 (phase noise); Jongenelen et al., IEEE Trans. Instrum. Me
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from types import MappingProxyType
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator, Philox
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from cabinpose._native import sensor as native
 from cabinpose.core import Bools, ConfigError, Floats, Floats32
 from cabinpose.core import reproducible as rp
+from cabinpose.scene.materials import Coat, Wavelength
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
 from cabinpose.scene.sensor.indirect import indirect_light
 from cabinpose.scene.sensor.noise import EdgeRule, invalidate
 from cabinpose.scene.sensor.normals import normal_quantiles, random_words
-from cabinpose.scene.sensor.optics import GLOSS_WIDTH, lens_maps, material_table
+from cabinpose.scene.sensor.optics import PANES, lens_maps, material_table
 from cabinpose.scene.sensor.presets import Sensor
 from cabinpose.scene.sensor.shade import light_shadow, sunlit
+
+Wiggling = Literal["calibrated", "uncalibrated"]
+# Share of a triangular correlation by name. What calibration leaves is assumed; without it a frame's four phases at 60 MHz have
+# 0.42 by `tools/real_tof.py`, and 0.51 to 0.58 in another reading of it.
+WIGGLING: Mapping[str, float] = MappingProxyType({"calibrated": 0.1, "uncalibrated": 0.5})
+
+
+def _by_name(given: object) -> object:
+    return WIGGLING.get(given, given) if isinstance(given, str) else given
 
 
 class PhysicalNoise(EdgeRule):
@@ -47,11 +58,10 @@ class PhysicalNoise(EdgeRule):
         default=True, description="Use the sensor's second modulation frequency, where it has one, to unwrap."
     )
     consistency: bool = Field(default=True, description="Pixels whose two phases belong to no single distance are invalid.")
-    wiggling: float = Field(
+    wiggling: Annotated[float, Field(ge=0, le=1), BeforeValidator(_by_name, json_schema_input_type=float | Wiggling)] = Field(
         default=0.1,
-        ge=0,
-        le=1,
-        description="Share of a triangular correlation left after calibration; 1 = up to 4.07 degrees of error.",
+        description="Share of a triangular correlation left: calibrated (0.1), uncalibrated (0.5), or 0..1; 1 = up to 4.07"
+        " degrees of error.",
     )
     stray_light: float = Field(
         default=0.003,
@@ -101,7 +111,10 @@ class PhysicalNoise(EdgeRule):
         default=0.0, ge=0, le=0.1, description="Error of each pixel's range that grows with it, the same in all frames: share."
     )
     fixed_pattern_seed: int = Field(default=0, ge=0, description="Which camera of its kind it is: the seed of the pattern.")
-    reflectance: bool = Field(default=True, description="Materials reflect as at 850 nm; off: everything is white.")
+    reflectance: bool = Field(
+        default=True,
+        description="Materials reflect as at the sensor's wavelength, smooth ones shine; off: everything is white and matt.",
+    )
     incidence: bool = Field(default=True, description="Light returned falls with the cosine of incidence.")
     vignetting: bool = Field(default=True, description="Lens and light source fall off towards the edge of the image.")
     glass: bool = Field(default=True, description="Window panes return next to nothing; off: they are dim diffuse surfaces.")
@@ -132,6 +145,8 @@ class PhysicalNoise(EdgeRule):
                 hint="give the geometry at each of `sample_times`",
             )
         camera = _continuous_wave(sensor, self, buffers.supersample)
+        if buffers.coats:
+            camera = camera._replace(table=_table(sensor, self, buffers.coats))
         if self.multipath:
             lit, falloff, unseen = _lit(buffers, sensor, self), self.vignetting, self.multipath_unseen
             light = indirect_light(lit, sensor, camera.table, camera.frequencies, falloff=falloff, unseen=unseen)
@@ -159,6 +174,8 @@ NO_EFFECTS = PhysicalNoise(  # a camera without noise
 )  # fmt: skip
 
 _LEAST_AMBIENT = 1e-3  # of the table of materials that sunlight multiplies
+# Sunlight at the ground in 20 nm about a wavelength, of that at 850 nm: ASTM G173-03, 0.303 and 0.977 W/m2/nm.
+_SUNLIGHT: Mapping[Wavelength, float] = MappingProxyType({850: 1.0, 940: 0.31})
 _PATTERN_STREAM = 0xF1ED  # of a camera's seed: apart from the streams of frames
 _NO_INDIRECT = np.zeros((0, 0, 0), np.float32)
 
@@ -171,12 +188,18 @@ class _ContinuousWave(NamedTuple):
     gain: Floats32
     ambient_gain: Floats32
     table: Floats32
-    gloss_width: float
     frequencies: NDArray[np.float64]
     frequency_ratio: tuple[int, int]
     near: float
     far: float
     indirect: Floats32
+
+
+def _table(sensor: Sensor, noise: PhysicalNoise, coats: tuple[Coat, ...] = ()) -> Floats32:
+    share = _SUNLIGHT[sensor.wavelength_nm]
+    return material_table(
+        noise.reflectance, noise.glass, share * noise.ambient, share * noise.daylight, sensor.wavelength_nm, coats
+    )
 
 
 @lru_cache(maxsize=8)
@@ -194,8 +217,7 @@ def _continuous_wave(sensor: Sensor, noise: PhysicalNoise, supersample: int) -> 
         parts_range_over_depth=maps.parts_range_over_depth,
         gain=gain,
         ambient_gain=ambient_gain,
-        table=material_table(noise.reflectance, noise.glass, noise.ambient, noise.daylight),
-        gloss_width=GLOSS_WIDTH,
+        table=_table(sensor, noise),
         frequencies=np.array(frequencies),
         frequency_ratio=sensor.frequency_ratio if len(frequencies) == 2 else (1, 1),
         near=near,
@@ -277,8 +299,8 @@ def _in_the_sun(
 ) -> _ContinuousWave:
     """A camera whose gain of ambient light is that of sunlight where a beam of it falls, as its centre is lit."""
     ambient = max(noise.ambient, _LEAST_AMBIENT)
-    table = material_table(noise.reflectance, noise.glass, ambient, noise.daylight)
-    inside = (buffers.material > 0) & (table[buffers.material, 1] == 0.0)
+    table = _table(sensor, noise.model_copy(update={"ambient": ambient}), buffers.coats)
+    inside = (buffers.material > 0) & ~(PANES[buffers.material] & noise.glass)
     lit = sunlit(buffers.depth_m, inside, sensor.camera, noise.sun_width_m, rng=rng)
     share = np.where(inside, (noise.ambient + noise.sun * lit) / ambient, np.float32(1.0))
     return camera._replace(table=table, ambient_gain=(camera.ambient_gain * share).astype(np.float32))

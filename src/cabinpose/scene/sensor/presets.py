@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cabinpose.core import Camera, ConfigError, Registry, check_camera, check_image_circle
+from cabinpose.scene.materials import Wavelength
 from cabinpose.scene.sensor.lens_keys import LensKeys, lens_of_keys
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
@@ -42,6 +43,11 @@ class Sensor(BaseModel):
     )
     range_m: tuple[float, float] = Field(
         default=(0.3, 2.0), description="Dead zone and saturation: nearest and farthest distance delivered (m)."
+    )
+    wavelength_nm: Wavelength = Field(
+        default=850,
+        exclude_if=lambda value: value == 850,
+        description="Of its light (nm): 850 or 940. Surfaces reflect as they do there.",
     )
     integration_s: float = Field(default=450e-6, gt=0, description="Exposure of one correlation sample (s).")
     second_integration_s: float | None = Field(

@@ -55,6 +55,6 @@ class StructuredLightNoise(CameraNoise):
     ) -> SensorFrame:
         """The amplitude is that of the geometry, without noise."""
         frame, ranks = SensorFrame.empty(buffers.shape), random_words(buffers.shape, rng=rng).view(np.uint16)
-        optics, grazing = surface_optics(sensor), float(rp.cos(np.radians(self.grazing_deg)))
+        optics, grazing = surface_optics(sensor, buffers.coats), float(rp.cos(np.radians(self.grazing_deg)))
         native.simulate_structured_light(buffers, optics, sensor, self, ranks, normal_quantiles(), frame, grazing_cosine=grazing)
         return frame

@@ -14,7 +14,7 @@ import numpy as np
 
 from cabinpose.core import Bools, Floats, Floats32
 from cabinpose.core import reproducible as rp
-from cabinpose.synth.pictures.look import linear
+from cabinpose.synth.person_look import linear
 
 LightKind = Literal["day", "night", "garage"]
 _DOME = 512, 1024  # rows, columns: a third of a degree, about a pixel of a Monstar

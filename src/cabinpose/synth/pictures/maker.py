@@ -13,10 +13,11 @@ from cabinpose.core import Bytes, Floats, Floats32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import Surface
 from cabinpose.scene.sensor import Sensor, lens_maps
+from cabinpose.synth.person_look import look_of
 from cabinpose.synth.pictures.denoise import denoised
 from cabinpose.synth.pictures.grid import FINER, Hits, grid_of, hits, without_panes
 from cabinpose.synth.pictures.light import Light, LightKind, draw_light
-from cabinpose.synth.pictures.look import backdrop_colours, belt_colours, near_infrared, person_colours, thing_colours
+from cabinpose.synth.pictures.look import backdrop_colours, belt_colours, person_colours, thing_colours
 from cabinpose.synth.pictures.path_tracing import mitsuba, trace
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.render import Rasteriser
@@ -44,7 +45,7 @@ class PictureMaker:
         self._rasteriser = Rasteriser(self._grid.pinhole, 1)
         self._colours: dict[str, Floats32] = {}
 
-    def take(self, scene: Scene, surface: Surface, *, rng: np.random.Generator) -> dict[str, Any]:
+    def take(self, scene: Scene, surface: Surface, reflectance: Floats32, *, rng: np.random.Generator) -> dict[str, Any]:
         """The variables `rgb` (H, W, 3) and `nir` (H, W) that are asked for, and what made them.
 
         Parameters
@@ -53,6 +54,8 @@ class PictureMaker:
             What is there.
         surface
             `scene.surface()`.
+        reflectance
+            (F, 3) of it, diffuse, in near infrared.
         rng
             Draws the light and the paths.
         """
@@ -66,7 +69,6 @@ class PictureMaker:
         if "rgb" in self._images.variables:
             result["rgb"] = develop(self._radiance(scene, surface, self._look(scene), light, found, seeds[0]), _KEY[light.kind])
         if "nir" in self._images.variables:
-            reflectance = near_infrared(surface)
             seen = self._radiance(scene, surface, reflectance, _infrared(light), found, seeds[1])
             result["nir"] = _exposed(seen[..., 1], self._sensor, rng=rng)
         return result
@@ -81,7 +83,8 @@ class PictureMaker:
         """(F, 3) of the scene's surface."""
         parts = [backdrop_colours(scene.backdrop, rng=own_rng(self._seed, scene.place))]
         for person in scene.people:
-            parts.append(person_colours(person.person, rng=own_rng(self._seed, person.subject)))
+            look = look_of(person.person, self._seed, person.subject)
+            parts.append(person_colours(person.person, look, rng=own_rng(self._seed, f"blotches of {person.subject}")))
             parts += [belt_colours(belt, rng=own_rng(self._seed, scene.place)) for belt in person.surfaces[1:]]
         for thing, *_ in scene.things:
             parts.append(thing_colours(thing.surface, rng=own_rng(self._seed, f"{thing.kind} {thing.variant}")))

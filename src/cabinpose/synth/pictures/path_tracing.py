@@ -12,10 +12,9 @@ import numpy as np
 
 from cabinpose.core import Bools, Camera, Floats, Floats32, Matrix, optional_module
 from cabinpose.core import reproducible as rp
-from cabinpose.scene import Surface
+from cabinpose.scene import MATERIALS, Surface
 from cabinpose.synth.pictures.grid import without_panes
 from cabinpose.synth.pictures.light import Light
-from cabinpose.synth.pictures.look import ROUGHNESS
 
 HINT = "pip install 'cabinpose[rgb]', or choose images.renderer raster, a shaded preview"
 _NEAREST_M = 0.01  # as the rasteriser has it
@@ -115,8 +114,8 @@ def _emitters(mi: Any, light: Light) -> dict[str, Any]:
 def _finishes(surface: Surface, shown: Bools) -> list[tuple[float | None, Bools]]:
     """Roughness (None: matte) and the triangles (F,) that have it."""
     table = np.zeros(256)
-    for material, alpha in ROUGHNESS.items():
-        table[material] = alpha
+    for material in MATERIALS:
+        table[material.id] = material.roughness or 0.0
     roughness = table[surface.material]
     found = [(alpha or None, shown & (roughness == alpha)) for alpha in np.unique(roughness).tolist()]
     return [(alpha, where) for alpha, where in found if where.any()]

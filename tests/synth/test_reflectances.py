@@ -1,0 +1,216 @@
+"""What people and cars reflect in near infrared: drawn apart from their colours, by tables, and seen by the sensor as drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cabinpose.core import OCCUPANT_SLOTS
+from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
+from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype, hair_shares
+from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, sensor_by_name, simulate
+from cabinpose.store import AXES
+from cabinpose.synth import FrameMaker, People, RandomPeople, SynthConfig
+from cabinpose.synth.person_look import WORN, look_of, worn_faces
+from cabinpose.synth.reflectances import Reflectances
+from cabinpose.synth.subjects import Subjects
+
+LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
+
+
+@pytest.fixture(scope="module")
+def man() -> Person:
+    return BodyModel.load().person(Phenotype(), Outfit("t_shirt", "trousers", "leather", "short", cap=True))
+
+
+def drawn(man: Person, name: str, seed: int = 0, wavelength: Wavelength = 850) -> Mapping[str, float]:
+    return Reflectances(seed, wavelength).person(name, man).reflectance
+
+
+def test_garments_go_by_dye_and_not_by_colour(man: Person) -> None:
+    """Of a few hundred black shirts most are bright and some are dark; some that are light to the eye are darker than these."""
+    names = [f"N{k}" for k in range(250)]
+    seen = np.array([LUMINANCE @ look_of(man, 0, name).colours["top"] for name in names])
+    top = np.array([drawn(man, name)["top"] for name in names])
+    black = seen < 0.06
+    assert black.sum() > 50
+    assert (top[black] > 0.4).mean() > 0.5
+    assert 0.05 < (top[black] < 0.1).mean() < 0.4
+    assert (top[seen > 0.06].min()) < np.median(top[black])
+    assert (top[seen > 0.5] > 0.4).all(), "white cloth holds no carbon"
+    assert abs(np.corrcoef(seen, top)[0, 1]) < 0.5
+
+
+def test_what_is_drawn_is_in_its_tables(man: Person) -> None:
+    for name in (f"N{k}" for k in range(60)):
+        found, look = drawn(man, name), look_of(man, 0, name)
+        assert set(found) == set(WORN)
+        low, high = (min(band[k] for band in HAIR.values()) if k == 0 else max(b[1] for b in HAIR.values()) for k in (0, 1))
+        assert low <= found["hair"] <= high
+        assert SKIN_LIMITS[850][0] <= found["skin"] <= SKIN_LIMITS[850][1]
+        for place, dyes in (("top", "cotton"), ("shoes", "leather_shoe"), ("top_print", "print")):
+            eye = LUMINANCE @ look.colours[place]
+            bands = [
+                (max(d.low, eye) if d.to_the_eye else d.low, max(d.high, eye) if d.to_the_eye else d.high) for d in DYES[dyes]
+            ]
+            assert any(low - 1e-9 <= found[place] <= high + 1e-9 for low, high in bands), (name, place)
+
+
+def test_skin_differs_less_than_in_colour_and_water_lowers_it_at_940(man: Person) -> None:
+    names = [f"N{k}" for k in range(150)]
+    near = np.array([[drawn(man, n, wavelength=w)["skin"] for n in names] for w in (850, 940)])
+    seen = np.array([LUMINANCE @ look_of(man, 0, n).colours["skin"] for n in names])
+    spread = [x.std() / x.mean() for x in (near[0], near[1], seen)]
+    assert spread[1] < spread[0] < 0.5 * spread[2]
+    assert near[1].mean() < 0.92 * near[0].mean()
+    assert np.corrcoef(seen, near[0])[0, 1] > 0.5, "it is the same skin"
+    light = [row.tone < 5 for row in SKIN]
+    assert np.mean([r.at_940[0] / r.at_850[0] for r, pale in zip(SKIN, light, strict=True) if pale]) == pytest.approx(
+        0.855, abs=0.01
+    )
+
+
+def test_dyed_hair_is_bright_and_black_hair_is_dark() -> None:
+    """Hair of who is old is grey in near infrared, dyed or not; of who is young it goes by melanin."""
+    model = BodyModel.load()
+    young, old = (model.person(Phenotype(gender=1.0, age=age), Outfit()) for age in (0.45, 1.0))
+    looks = {f"N{k}": look_of(old, 0, f"N{k}") for k in range(80)}
+    dyed = [n for n, look in looks.items() if look.dyed and look.hair == "black" and look.grey > 0.8]
+    assert len(dyed) > 5
+    for name in dyed:
+        assert looks[name].colours["hair"].max() < 0.02, "black to the eye"
+        assert drawn(old, name)["hair"] > 0.4
+        assert drawn(young, name)["hair"] <= 0.35
+    assert 0.3 < np.mean([look.dyed for look in looks.values()]) < 0.7
+
+
+def test_the_same_name_and_seed_give_the_same(man: Person) -> None:
+    assert drawn(man, "N1") == drawn(man, "N1")
+    assert drawn(man, "N1") != drawn(man, "N2")
+    assert drawn(man, "N1") != drawn(man, "N1", seed=1)
+    ratio = drawn(man, "N1", wavelength=940)["top"] / drawn(man, "N1")["top"]
+    assert 0.99 <= ratio <= 1.11, "the same dye at both wavelengths"
+
+
+def test_every_garment_has_its_triangles() -> None:
+    for name in ("S01", "S02", "S13"):
+        p = BodyModel.load().person(SUBJECTS[name].phenotype, SUBJECTS[name].outfit)
+        look = look_of(p, 0, name)._replace(patterns={"top": "stripes", "bottom": ""})
+        place = worn_faces(p, look)
+        counts = {worn: int((place == k).sum()) for k, worn in enumerate(WORN)}
+        for worn, part in (("top", p.outfit.top), ("bottom", p.outfit.bottom)):
+            assert counts[worn] > 300, (name, worn, part)
+        both = counts["top"] + counts["top_print"]
+        assert 0.35 < counts["top_print"] / both < 0.65
+        plain = worn_faces(p, look._replace(patterns={}))
+        assert (plain == WORN.index("top")).sum() == both
+        assert (counts["headwear"] > 100) == p.outfit.cap
+        assert (plain[p.dressed.material == MATERIAL_ID["skin"]] == WORN.index("skin")).all()
+
+
+CAR: Mapping[str, Any] = {
+    "scene": {"cars": ["sedan"], "occupancy": {"driver": 1.0, "front_passenger": 1.0}},
+    "people": {"subjects": ["S01", "S02", "S09"]},
+    "camera": {"sensor": {"camera": {"width": 176, "height": 144, "fov_deg": 95}}, "views": {"front_row": 1.0}},
+    "noise": {
+        "kind": "physical", "shot_noise": False, "read_noise": False, "flying_pixels": False, "blur": 0.0, "stray_light": 0.0,
+        "ambient": 0.0, "daylight": 0.0, "wiggling": 0.0, "range_window": False, "low_amplitude": False, "full_well": False,
+    },
+}  # fmt: skip
+
+
+def test_amplitudes_are_those_of_the_labels() -> None:
+    """From amplitude, depth and incidence each person's reflectance follows, which the label states; so does the car's seat."""
+    maker = FrameMaker(SynthConfig.parse(CAR), 3)
+    frame, scene = maker.make(0)
+    sensor = maker.config.camera.sensor_model
+    rendered = maker._rasteriser.render(
+        maker._reflectances.of(scene, scene.surface()).surface, np.linalg.inv(scene.world_from_camera), closed=scene.closed
+    )
+    ratio = sensor.camera.range_over_depth
+    light = sensor.signal_e * sensor.contrast * (1 / ratio) ** (sensor.vignetting_exponent + sensor.illumination_exponent)
+    r = frame["depth_clean"] * ratio
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reflectance = frame["amplitude"] * r**2 / light / rendered.buffers.cos_incidence
+    checked = 0
+    for who in scene.people:
+        row = OCCUPANT_SLOTS.index(who.slot)
+        place = worn_faces(who.person, look_of(who.person, 3, who.subject))
+        first = 64 + list(scene.people).index(who) * len(WORN)
+        for name in ("top", "bottom", "hair"):
+            where = (rendered.buffers.material == first + WORN.index(name)) & (rendered.buffers.cos_incidence > 0.4)
+            where &= (rendered.instance == row + 1) & (frame["amplitude"] > 30)
+            if where.sum() > 60:
+                told = float(np.array(frame["reflectance"])[row, AXES["worn"].index(name)])
+                assert np.median(reflectance[where]) == pytest.approx(told, rel=0.03)
+                checked += 1
+        assert len(place) == len(who.surfaces[0].faces)
+    assert checked >= 3
+
+
+def test_coats_stand_in_place_of_materials_and_wavelengths_choose_columns() -> None:
+    plain = material_table(True, True, 0.1, 1.0)
+    assert plain[MATERIAL_ID["skin"], 0] == pytest.approx(0.543)
+    assert material_table(True, True, 0.1, 1.0, 940)[MATERIAL_ID["skin"], 0] == pytest.approx(0.469)
+    coated = material_table(True, True, 0.1, 1.0, 850, (Coat(70, MATERIAL_ID["seat_leather"], 0.06), Coat(8, 8, 0.4)))
+    assert coated[70].tolist() == pytest.approx([0.06, 0.04 / (4 * 0.32**2), 0.006, 1 / 0.32**2])
+    assert coated[8, 0] == pytest.approx(0.4)
+    others = np.delete(np.arange(256), (8, 70))
+    np.testing.assert_array_equal(coated[others], plain[others])
+    assert all(m.id < 64 for m in MATERIALS)
+
+
+@pytest.mark.parametrize("name", ["hard_plastic", "leather_shoe", "metal"])
+def test_smooth_surfaces_shine_where_they_face_the_camera(name: str) -> None:
+    """The kernel's lobe against Beckmann's facets of Walter et al. (2007), which it follows to first order."""
+    sensor = sensor_by_name("pico_monstar_105/4").model_copy(update={"vignetting_exponent": 0.0, "illumination_exponent": 0.0})
+    material = MATERIALS[[m.name for m in MATERIALS].index(name)]
+    alpha, fresnel = material.roughness, 0.64 if name == "metal" else 0.04
+    assert alpha is not None
+    shape = (sensor.camera.height, sensor.camera.width)
+    angle = np.linspace(0, 0.3 * alpha, shape[1])
+    cosine = np.broadcast_to(np.cos(angle), shape).astype(np.float32)
+    depth = (2.0 / sensor.camera.range_over_depth).astype(np.float32)
+    scene = GeometryBuffers.dense(1, depth, cosine, np.full(shape, material.id, np.uint8))
+    quiet = PhysicalNoise().model_copy(update={k: v for k, v in CAR["noise"].items() if k != "kind"})
+    bright = sensor.model_copy(update={"signal_e_per_s": 6e7})
+    seen = simulate(scene, bright, quiet, rng=np.random.default_rng(0)).amplitude[140].astype(float)
+    facets = np.exp(-(np.tan(angle) ** 2) / alpha**2) / (np.pi * alpha**2 * np.cos(angle) ** 4)
+    white = np.pi * fresnel * facets / (4 * np.cos(angle))  # of the light of a white surface
+    expected = (material.reflectance * np.cos(angle) + white) * bright.signal_e * bright.contrast / 4.0
+    ok = seen > 0
+    assert ok.sum() > 200
+    np.testing.assert_allclose(seen[ok], expected[ok], rtol=0.03)
+
+
+def test_what_is_in_rooms_is_of_its_material() -> None:
+    found = Reflectances(0, 850)
+    surface = SimpleNamespace(faces=np.zeros((5, 3), np.int32), material=np.full(5, MATERIAL_ID["painted_wall"], np.uint8))
+    scene: Any = SimpleNamespace(cabin=None, people=(), backdrop=surface, place="room")
+    whole = Surface(*np.zeros((2, 1, 3), np.float32), surface.faces, *np.repeat(surface.material[None], 3, axis=0))
+    assert found.of(scene, whole).coats == ()
+    np.testing.assert_array_equal(found.of(scene, whole).surface.material, surface.material)
+
+
+def test_hair_is_worn_by_sex_and_age() -> None:
+    """Of a crowd, against the shares themselves and what sets them apart: long hair is women's, baldness old men's."""
+    crowd = Subjects(People(subjects=(), random=RandomPeople(count=600)), 2)
+    bodies = [crowd.body(f"R{k:04d}") for k in range(600)]
+    men = [(p, o) for p, o in bodies if p.gender < 0.5]
+    women = [(p, o) for p, o in bodies if p.gender > 0.5]
+
+    def share(people: list[tuple[Phenotype, Outfit]], *styles: str) -> float:
+        return float(np.mean([o.hair in styles for _, o in people]))
+
+    assert share(men, "short") > 0.55
+    assert share(women, "short") < 0.3
+    assert share(women, "long", "bun") > 0.35 > 0.15 > share(men, "long", "bun")
+    assert share(women, "bald") == 0.0
+    old = [(p, o) for p, o in men if p.years > 60]
+    expected = float(np.mean([hair_shares(p.gender, p.years)["bald"] for p, _ in old]))
+    assert share(old, "bald") == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / len(old)))
+    assert sum(hair_shares(0.3, 50.0).values()) == pytest.approx(1.0)
