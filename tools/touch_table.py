@@ -96,15 +96,16 @@ def held(scene: Scene, person: ScenePerson) -> Surface:
     return next(thing for thing in scene.things if thing.at == "hand" and thing.slot == person.slot).surface(0)
 
 
+HEAD = own(_HEAD)
 ROWS = (
-    Row("telephone, head", "front_passenger", "phone_ear", "thing", own(_HEAD), ("phone",)),
-    Row("telephone at the door's side, head", "driver", "phone_ear_outer", "thing", own(_HEAD), ("phone",)),
+    Row("telephone, head", "front_passenger", "phone_ear", "thing", HEAD, ("phone",)),
+    Row("telephone at the door's side, head", "driver", "phone_ear_outer", "thing", HEAD, ("phone",)),
     Row("hand, telephone read", "front_passenger", "phone_text", "hand", held, ("phone",)),
-    Row("bottle, face", "front_passenger", "drink", "thing", own(_HEAD), ("bottle",)),
-    Row("cup, face", "driver", "drink", "thing", own(_HEAD), ("cup",)),
+    Row("bottle, face", "front_passenger", "drink", "thing", HEAD, ("bottle",)),
+    Row("cup, face", "driver", "drink", "thing", HEAD, ("cup",)),
     Row("hand, bottle", "front_passenger", "drink", "hand", held, ("bottle",)),
     Row("hand, book", "rear_left", "read", "hand", held),
-    Row("hand, mouth", "front_passenger", "at_mouth", "hand", own(_HEAD)),
+    Row("hand, mouth", "front_passenger", "at_mouth", "hand", HEAD),
     Row("hand, gear knob", "driver", "gear", "hand", knob),
     Row("hand, mirror", "driver", "adjust_mirror", "hand", part("rear-view mirror")),
     Row("hand, screen", "driver", "reach_infotainment", "hand", part("screen")),
@@ -126,15 +127,26 @@ def mesh_of(surface: Surface, *, closed: bool = True) -> TriangleMesh:
     return triangle_mesh(surface.vertices[used], faces.reshape(-1, 3), closed=closed)
 
 
-def gap_and_depth(points: NDArray[np.float64], mesh: TriangleMesh, other: TriangleMesh) -> tuple[float, float]:
-    """The least distance between two surfaces and the deepest point of the first one in the second, m.
+def gap_and_depth(
+    points: NDArray[np.float64], mesh: TriangleMesh, other: TriangleMesh, firm: TriangleMesh
+) -> tuple[float, float]:
+    """The least distance between two surfaces, and how deep the deepest point of the first one is in what of it is firm, m.
 
     points: the vertices of the first, `mesh`.
     """
     signed = other.signed_distance(points, _FAR_M)
     back = mesh.signed_distance(other.vertices, _FAR_M)
-    deepest = float(-signed.min())
-    return (0.0, deepest) if deepest > 0.0 else (float(min(signed.min(), np.abs(back).min())), 0.0)
+    gap = float(min(signed.min(), np.abs(back).min()))
+    inside = signed if firm is other else firm.signed_distance(points, _FAR_M)
+    return max(gap, 0.0), max(-float(inside.min()), 0.0)
+
+
+def _bare_head(person: ScenePerson) -> Surface:
+    """The skin of the head, without hair and what is worn on it."""
+    head = np.flatnonzero(person.person.skin_segment == SEGMENTS.index("head"))
+    faces = person.person.skin_faces[np.isin(person.person.skin_faces, head).all(axis=1)]
+    none = np.zeros(len(faces), np.uint8)
+    return Surface(person.posed.skin, person.posed.skin, faces, none, none, none)
 
 
 class Measured(NamedTuple):
@@ -153,6 +165,7 @@ def measure(row: Row, scene: Scene) -> Measured | None:
     if row.target is held and not any(thing.at == "hand" and thing.slot == row.slot for thing in scene.things):
         return None
     target = mesh_of(row.target(scene, person))
+    firm = mesh_of(_bare_head(person)) if row.target is HEAD else target  # hair and hats give way
     hands = []
     leading = person.person.leading_bone
     for side in "lr":
@@ -161,7 +174,7 @@ def measure(row: Row, scene: Scene) -> Measured | None:
         skin = person.posed.skin.astype(np.float64)
         used, faces = np.unique(person.person.skin_faces[inside], return_inverse=True)
         mesh = triangle_mesh(skin[used], faces.reshape(-1, 3), closed=True)
-        gap, depth = gap_and_depth(mesh.vertices, mesh, target)
+        gap, depth = gap_and_depth(mesh.vertices, mesh, target, firm)
         fingers = 0
         for number in range(1, 6):
             bones = [BONE_INDEX[f"{side}finger{number}_{phalanx}"] for phalanx in (1, 2, 3)]
@@ -174,7 +187,7 @@ def measure(row: Row, scene: Scene) -> Measured | None:
     if row.mover == "hand":
         return nearer
     mesh = mesh_of(held(scene, person))
-    gap, depth = gap_and_depth(mesh.vertices, mesh, target)
+    gap, depth = gap_and_depth(mesh.vertices, mesh, target, firm)
     return Measured(gap, depth, nearer.fingers)
 
 

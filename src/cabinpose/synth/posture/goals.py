@@ -12,6 +12,7 @@ from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, LOWER, UPPER, Pers
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.context import Trunk
 from cabinpose.synth.posture.feet import FootGoal
+from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.solver import Goals, Sitter, solve
 
@@ -161,7 +162,7 @@ def hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats) -
     looked. The palm keeps its direction as far as the arm likes. Limits hold; whatever is in the way is not seen.
     """
     alone = _hand_to(person, q, root, side, place, leaning=False)
-    missed = rp.norm(person.pose(alone, root).palms["lr"[side]][:3, 3] - place)
+    missed = rp.norm(frames(alone, person.rest, root).palms[side][:3, 3] - place)
     return alone if missed < _IN_REACH_M else _hand_to(person, q, root, side, place, leaning=True)
 
 
@@ -174,14 +175,14 @@ def _hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats, 
     arms = [slice(_ARM[s], _ARM[s] + 7) for s in ((0, 1) if leaning else (side,))]
     for arm in arms:
         free[arm], stiffness[arm] = True, _DRAGGED_ARM
-    posed = person.pose(q, root)
-    target = posed.palms["lr"[side]].copy()
+    posed = frames(q, person.rest, root)
+    target = posed.palms[side].copy()
     target[:3, 3] = place
     rows = [("lr"[side] + "hand", person.rest.palms[side], "", target, _ON_PLACE)]
     if leaning:
         other = "rl"[side]
-        rows.append((other + "hand", person.rest.palms[1 - side], "", posed.palms[other], _STAYS))
-        rows.append(("head", np.eye(4), "", posed.bones[BONE_INDEX["head"]], _ON_GAZE))
+        rows.append((other + "hand", person.rest.palms[1 - side], "", posed.palms[1 - side], _STAYS))
+        rows.append(("head", np.eye(4), "", posed.bone("head"), _ON_GAZE))
     lower, upper = np.where(free, LOWER, q), np.where(free, UPPER, q)
     goals = Goals(q, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
     return at_goals(Sitter(person, "", goals, q.copy(), root))

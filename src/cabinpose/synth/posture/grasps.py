@@ -15,6 +15,7 @@ import numpy as np
 from cabinpose.core import Bools, ConfigError, Floats, Floats32, Ints, Matrix, SceneError, apply, invert, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, PosedBody
+from cabinpose.scene.contact import TriangleMesh
 from cabinpose.scene.things import OBJECTS, THINGS, VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
@@ -199,6 +200,25 @@ def _encloses(touching: Floats) -> bool:
     """Whether points (N, 3) that touch a thing lie all around its upright axis, and not on one side of it."""
     around = touching[:, :2] / np.maximum(np.linalg.norm(touching[:, :2], axis=1, keepdims=True), 1e-9)
     return rp.norm(around.mean(axis=0)) < _ONE_SIDED
+
+
+def fingers_closed_on(person: Person, mesh: TriangleMesh, vehicle_from_palm: Matrix, side: int) -> Floats:
+    """(5,) curl of fingers that close from the open hand until each touches a surface (vehicle frame); loose where none does.
+
+    side: 0 left, 1 right · vehicle_from_palm: of that hand, (4, 4).
+    """
+    hand, curl = _hand(person), _LOOSE.copy()
+    mirror = np.diag((1.0, 1.0 - 2.0 * side, 1.0, 1.0))
+    from_skin = rp.matmul(vehicle_from_palm, mirror)
+    for finger in range(5):
+        start = int(np.searchsorted(_CURLS, OPEN_HAND[finger] - 1e-9))
+        mine = hand.skin[start:, hand.finger == finger]
+        points = apply(from_skin, mine.reshape(-1, 3).astype(np.float64))
+        distance = mesh.signed_distance(points, 2.0 * _TOUCHES_M).reshape(len(mine), -1).min(axis=1)
+        met = np.flatnonzero(distance < 0.0)
+        if len(met):
+            curl[finger] = _CURLS[start + max(int(met[0]) - 1, 0)]
+    return curl
 
 
 def _brought_near(thing: Thing, turned: Matrix, hand: Cloud, along: float) -> Matrix:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -41,12 +41,13 @@ class Reach(NamedTuple):
     """Where a hand goes that reaches, vehicle frame: (3,) m.
 
     side: the hand that goes there, None for the inboard one · palm: `vehicle_from_palm` (4, 4) sought there, None for one that
-    points.
+    points · touched: whether the hand touches what of the car is there.
     """
 
     point: Floats
     side: int | None = None
     palm: Matrix | None = None
+    touched: bool = False
 
 
 class Hand(NamedTuple):
@@ -120,6 +121,10 @@ class HandPlace:
         Whether the hand is closed around the wheel.
     passes_on
         Whether the hand leaves room for another one at what it holds.
+    touches
+        What the hand there, or what it holds, is brought to once the pose is solved: the car, or the own head.
+    grasps
+        Whether its fingers close around that.
     """
 
     name: ClassVar[str]
@@ -133,6 +138,8 @@ class HandPlace:
     watched: ClassVar[bool] = False
     on_wheel: ClassVar[bool] = False
     passes_on: ClassVar[bool] = False
+    touches: ClassVar[Literal["", "car", "head"]] = ""
+    grasps: ClassVar[bool] = False
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         """Whether a seat has this place."""
@@ -212,7 +219,7 @@ class _Thigh(HandPlace):
 class _Armrest(HandPlace):
     """At rest on the door's armrest, palm down."""
 
-    name, shapes, spared = "armrest", at.RESTING, True
+    name, shapes, spared, touches = "armrest", at.RESTING, True, "car"
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         return self._point(seat, cabin) is not None
@@ -225,7 +232,7 @@ class _Armrest(HandPlace):
 
     def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
         point = self._point(seated.seat, seated.cabin)
-        return None if point is None else Reach(point)
+        return None if point is None else Reach(point, touched=True)
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         assert hand.reach is not None  # see `exists`
@@ -251,24 +258,24 @@ class _Either(HandPlace):
 
 
 class _Ear(HandPlace):
-    """A telephone at the own ear."""
+    """A telephone at the own ear: its upper end, which stands out of the hand, before the ear, the lower one towards the mouth."""
 
-    name, carried_by, grip, held = "ear", "head", 0.5, Flat(math.radians(15.0))
+    name, carried_by, grip, held, touches = "ear", "head", 0.5, Flat(math.radians(5.0), 0.045), "head"
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         head, s, skin = trunk.skeleton.bone("head"), 1.0 - 2.0 * side, _skin(trunk.seated.person, "head")
         half, height = float(np.abs(skin[:, 1]).max()), float(np.ptp(skin[:, 2]))
-        local = np.array([0.02, s * (half + _PHONE_M - at.PALM_M), 0.18 * height])
+        local = np.array([0.04, s * (half + _PHONE_M - at.PALM_M), -0.1 * height])
         point = rp.matmul(head[:3, :3], local) + head[:3, 3]
-        fingers = rp.matmul(head[:3, :3], np.array([-0.25, 0.0, 1.0]))
-        target = at.palm_frame(point, rp.matmul(head[:3, :3], np.array([0.15, -s, 0.0])), fingers)
+        fingers = rp.matmul(head[:3, :3], np.array([-0.4, -0.3 * s, 1.0]))
+        target = at.palm_frame(point, rp.matmul(head[:3, :3], np.array([-0.2, -s, -0.3])), fingers)
         return LimbTask.firm(target, (0.04, 0.04, 0.04), at.FACE_ARM)
 
 
 class _Mouth(HandPlace):
     """At the own mouth, thumb up."""
 
-    name, carried_by, grip = "mouth", "head", 0.5
+    name, carried_by, grip, touches = "mouth", "head", 0.5, "head"
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         return self._before(trunk, side, 0.07 + 0.01 * hand.noise[0], 0.03)
@@ -380,10 +387,10 @@ class _Belt(HandPlace):
 class _Reach(HandPlace):
     """At something in the car, or wherever else it is told to reach; in the lap where there is nowhere."""
 
-    name, shapes, reaches, watched = "reach", at.POINTING, True, True
+    name, shapes, reaches, watched, touches = "reach", at.POINTING, True, True, "car"
 
     def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
-        return given if target is None else Reach(target + _REACHED_SIGMA_M * np.array(noise))
+        return given if target is None else Reach(target + _REACHED_SIGMA_M * np.array(noise), touched=True)
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         if hand.reach is None:

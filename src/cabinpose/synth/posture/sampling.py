@@ -27,6 +27,7 @@ from cabinpose.synth.posture.intents import carrying, holding, intents, with_fin
 from cabinpose.synth.posture.neighbours import LOW_TUNNEL_M, NOBODY, Neighbours, tunnel_m
 from cabinpose.synth.posture.places import Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
+from cabinpose.synth.posture.touching import Touch, meet
 from cabinpose.synth.profiles import Profile
 
 _WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
@@ -85,7 +86,8 @@ def _shares(actions: tuple[str, ...]) -> Floats:
 class Drawn:
     """The goals of one person, drawn once, and the start of the solver's search: the input of `settled`.
 
-    must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame · fingers, hold: as in `OccupantPose`.
+    must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame · fingers, hold: as in `OccupantPose` ·
+    touches: what hands are to touch.
     """
 
     sitter: Sitter
@@ -95,6 +97,7 @@ class Drawn:
     h_point: Floats
     fingers: Floats
     hold: Hold | None = None
+    touches: tuple[Touch, ...] = ()
 
 
 class Doing(NamedTuple):
@@ -195,7 +198,18 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
         name = prescribed.profile.kind
     must = [hand.place.miss_m for hand in hands] + [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
     angle = None if seated.wheel is None else wheel_angle
-    return Drawn(who, name, angle, np.array(must), seat.h_point(seated.setting), fingers, held)
+    touches = tuple(t for side in (0, 1) if (t := _touch(hands[side], side, held)) and who.goals.weight[side].any())
+    return Drawn(who, name, angle, np.array(must), seat.h_point(seated.setting), fingers, held, touches)
+
+
+def _touch(hand: Hand, side: int, held: Hold | None) -> Touch | None:
+    """What a hand (0 left, 1 right) is to touch; None where nothing is."""
+    match hand.place.touches:
+        case "car" if hand.reach is not None and hand.reach.touched:
+            return Touch(side, hand.reach.point, hand.place.grasps)
+        case "head" if held is not None and held.side == side or hand.place.held is None:
+            return Touch(side)
+    return None
 
 
 def _hand_goal(trunk: Trunk, hand: Hand, side: int, comfort: Floats, held: Hold | None, rng: np.random.Generator) -> HandGoal:
@@ -242,7 +256,10 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
         missed["h_point"] = rp.norm(who.root[:3, 3] - d.h_point)
         late = np.flatnonzero((found.missed[:, 0] > d.must) & (who.goals.weight[:, :3] > 0.0).any(axis=1))
         refused, held_up_by = (TASKS[late[0]], found.into) if len(late) else ("", "")
-        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, d.fingers, d.hold))
+        fingers = d.fingers
+        for touch in () if refused else d.touches:
+            fingers = meet(who, touch, fingers, d.hold, placed)
+        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, fingers, d.hold))
     return result
 
 
