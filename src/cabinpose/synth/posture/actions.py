@@ -25,10 +25,13 @@ from cabinpose.synth.posture.places import (
     EAR,
     EITHER,
     GIVE,
+    KNOB,
+    MIRROR,
     MOUTH,
     REACH,
     SHIN,
     THIGH,
+    VISOR,
     WHEEL,
     HandPlace,
 )
@@ -124,9 +127,9 @@ _DRIVER = (
 _REACH_FRONT = (
     Action("reach_infotainment", REACH, EITHER, _HAND, ("infotainment",), seats="front"),
     Action("reach_climate", REACH, EITHER, _HAND, ("climate",), weight=0.5, seats="front"),
-    Action("gear", REACH, EITHER, Gaze((0.0, 10.0), (-8.0, 6.0)), ("gear_lever",), seats="driver"),
-    Action("adjust_mirror", REACH, EITHER, _HAND, ("mirror",), seats="front"),
-    Action("sun_visor", EITHER, REACH, _HAND, ("{visor}",), weight=0.5, seats="front"),
+    Action("gear", KNOB, EITHER, Gaze((0.0, 10.0), (-8.0, 6.0)), ("gear_lever",), seats="driver"),
+    Action("adjust_mirror", MIRROR, EITHER, _HAND, ("mirror",), seats="front"),
+    Action("sun_visor", EITHER, VISOR, _HAND, ("{visor}",), weight=0.5, seats="front"),
 )
 _ANYWHERE = (
     Action("rest_lap", THIGH, THIGH, _FREE, weight=2.5),

@@ -14,7 +14,7 @@ import numpy as np
 
 from cabinpose.core import Floats, Ints, Matrix, apply, axis_rotation, cross, invert, transform
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import DOF_INDEX, LOWER, SEGMENTS, Person, vertex_segments
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, load_shape_space, vertex_segments
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.context import Trunk
 from cabinpose.synth.posture.frames import frames
@@ -96,6 +96,8 @@ FACE_ARM = np.radians((45.0, 25.0, 15.0, 125.0, 0.0, 0.0, 0.0))
 CROSS_ARM = np.radians((40.0, 0.0, 50.0, 95.0, 20.0, 0.0, 0.0))
 CARRY_ARM = np.radians((25.0, 12.0, 15.0, 80.0, 10.0, 0.0, 0.0))
 UP_ARM = np.radians((95.0, 25.0, 0.0, 45.0, 20.0, 0.0, 0.0))
+ROOF_ARM = np.radians((110.0, 30.0, -20.0, 70.0, 0.0, -20.0, 0.0))
+LEVER_ARM = np.radians((35.0, 15.0, 5.0, 50.0, 60.0, -10.0, 0.0))
 
 
 @kept_with_person
@@ -167,6 +169,21 @@ def lying(person: Person, fingers: Floats) -> Lying:
     best = int(reach.argmin())
     pitch = rp.arctan(_SLOPES[best])
     return Lying(float(reach[best]) * rp.cos(pitch), pitch)
+
+
+def fingertip(person: Person, fingers: Floats) -> Floats:
+    """(3,) m, palm frame of a left hand: the end of the index finger of a hand with its fingers (6,) like that."""
+    q = np.zeros(len(LOWER))
+    q[DOF_INDEX["lhand.grip"]] = 1.0  # the kernel curls by the share of it
+    skin = person.skin_part(_index_rows(), np.stack((fingers, np.full(6, np.nan))))(q, np.eye(4))
+    local = apply(_palm_from_root(person), skin)
+    return np.asarray(local[int(np.argmax(local[:, 0]))])
+
+
+@cache
+def _index_rows() -> Ints:
+    """Vertices of the last phalanx of a left index finger."""
+    return np.flatnonzero(load_shape_space().bone_index[:, 0] == BONE_INDEX["lfinger2_3"])
 
 
 @cache

@@ -34,6 +34,7 @@ _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
 _OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
 _REACHED_SIGMA_M = 0.012
+_KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
 _BEHIND_RIM_M, _LEAST_ALONG = 0.01, 0.5  # fingertips that end before the wheel's rim; share of the thigh
 
 
@@ -399,7 +400,50 @@ class _Reach(HandPlace):
             return LimbTask(hand.reach.palm, at.STAYS, np.full(3, 0.3), at.REACH_ARM, at.STIFFNESS)
         shoulder = _shoulder(trunk, side)
         high = hand.reach.point[2] > shoulder[2]
-        return _pointing_at(hand.reach.point, shoulder, at.UP_ARM if high else at.REACH_ARM)
+        return self._to(trunk, hand, side, at.UP_ARM if high else at.REACH_ARM)
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        """The hand at where it reaches, coming from its shoulder."""
+        assert hand.reach is not None
+        tip = None
+        if not np.isnan(hand.fingers).any():
+            tip = at.fingertip(trunk.seated.person, hand.fingers) * (1.0, 1.0 - 2.0 * side, 1.0)
+        return _pointing_at(hand.reach.point, _shoulder(trunk, side), arm, tip)
+
+
+class _Knob(_Reach):
+    """Over a lever's knob, palm down, fingers around it."""
+
+    name, shapes, grasps = "knob", (), True
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        assert hand.reach is not None
+        s, ahead = 1.0 - 2.0 * side, trunk.seated.forward
+        fingers = ahead + 0.25 * s * np.array((ahead[1], -ahead[0], 0.0)) - 0.25 * _UP
+        return _holding(hand.reach.point, -_UP - 0.25 * ahead, fingers, _KNOB_IN_PALM_M, at.LEVER_ARM)
+
+
+class _Mirror(_Reach):
+    """Before a mirror, fingers over its upper edge, thumb under the lower one."""
+
+    name, shapes, grasps = "mirror", (), True
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        assert hand.reach is not None
+        s, ahead = 1.0 - 2.0 * side, trunk.seated.forward
+        left = np.array((-ahead[1], ahead[0], 0.0))
+        return _holding(hand.reach.point, ahead + 0.3 * _UP, _UP - 0.5 * s * left, _MIRROR_IN_PALM_M, at.ROOF_ARM)
+
+
+class _Visor(_Reach):
+    """Under a sun visor, the palm up, its fingers' ends at it."""
+
+    name, shapes = "visor", at.RESTING[1:2]
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        assert hand.reach is not None
+        ahead, tip = trunk.seated.forward, at.fingertip(trunk.seated.person, hand.fingers) * (1.0, 1.0 - 2.0 * side, 1.0)
+        return _holding(hand.reach.point, _UP - 0.2 * ahead, ahead + 0.5 * _UP, tip, at.ROOF_ARM)
 
 
 class _Give(_Reach):
@@ -423,16 +467,33 @@ def _shoulder(trunk: Trunk, side: int) -> Floats:
     return trunk.skeleton.bone("lr"[side] + "upperarm")[:3, 3]
 
 
-def _pointing_at(point: Floats, shoulder: Floats, prior: Floats) -> LimbTask:
-    """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes."""
+def _pointing_at(point: Floats, shoulder: Floats, prior: Floats, tip: Floats | None = None) -> LimbTask:
+    """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes.
+
+    tip: (3,) m in the palm, of what touches it; an adult's middle finger where it is not given.
+    """
     direction = point - shoulder
     direction = direction / rp.norm(direction)
-    target = at.palm_frame(point - at.HAND_M * direction, -_UP, direction)
-    return LimbTask.firm(target, (0.02, 0.04, 0.04), prior)
+    if tip is None:
+        target = at.palm_frame(point - at.HAND_M * direction, -_UP, direction)
+        return LimbTask.firm(target, (0.02, 0.04, 0.04), prior)
+    return _holding(point, -_UP, direction, tip, prior, (0.02, 0.04, 0.04))
+
+
+def _holding(
+    point: Floats, normal: Floats, fingers: Floats, in_palm: Floats, prior: Floats,
+    turning: tuple[float, float, float] = (0.04, 0.04, 0.03),
+) -> LimbTask:  # fmt: skip
+    """A palm towards `normal`, its x near `fingers`, in which `in_palm` (3,) m is at `point` (3,)."""
+    x = fingers / rp.norm(fingers)
+    target = at.palm_frame(point, normal - rp.matmul(normal, x) * x, x)
+    target[:3, 3] -= rp.matmul(target[:3, :3], in_palm)
+    return LimbTask.firm(target, turning, prior)
 
 
 WHEEL, THIGH, ARMREST, EITHER, SHIN, CARRY, BELT = _Wheel(), _Thigh(), _Armrest(), _Either(), _Shin(), _Carry(), _Belt()
 EAR, MOUTH, DRINK, CHEST, BOOK, GIVE, REACH, TAKE = _Ear(), _Mouth(), _Drink(), _Chest(), _Book(), _Give(), _Reach(), _Take()
-_ALL = (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE)
+KNOB, MIRROR, VISOR = _Knob(), _Mirror(), _Visor()
+_ALL = (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE, KNOB, MIRROR, VISOR)
 # Where a hand can be, by name.
 PLACES: Mapping[str, HandPlace] = MappingProxyType({place.name: place for place in _ALL})
