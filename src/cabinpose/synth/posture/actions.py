@@ -158,7 +158,7 @@ _ANYWHERE = (
     ),
 )  # fmt: skip
 _HOLDING = (
-    Action("drink", DRINK, EITHER, Gaze((0.0, 12.0), (4.0, 5.0)), in_hand="always"),
+    Action("drink", DRINK, EITHER, Gaze((0.0, 12.0), (16.0, 6.0)), in_hand="always"),
     Action("read", BOOK, THIGH, _HAND, in_hand="always"),
 )
 _PASSENGER = (Action("reach_glovebox", EITHER, REACH, _HAND, ("glovebox",), seats="front_passenger"),)

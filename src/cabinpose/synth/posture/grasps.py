@@ -19,7 +19,7 @@ from cabinpose.scene.contact import TriangleMesh
 from cabinpose.scene.things import OBJECTS, THINGS, VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
-from cabinpose.synth.posture.places import GIVE, TAKE, Around, HandPlace
+from cabinpose.synth.posture.places import GIVE, TAKE, Around, HandPlace, InHand
 
 PRESSED_M = 0.003  # of the skin by what is held; the verdict lets flesh yield by 8 mm
 _AT_REST_M = 0.001  # the same while the hand is still open
@@ -65,6 +65,13 @@ class Hold(NamedTuple):
         """vehicle_from_thing, (4, 4), of the thing in this hand. Things are their own mirror images in y = 0."""
         mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
         return np.asarray(rp.matmul(vehicle_from_palm, mirror, self.grasp.palm_from_thing, mirror))
+
+    @property
+    def in_hand(self) -> InHand:
+        """Where it is in this hand."""
+        mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
+        height_m = float(make_thing(self.kind, self.variant).box[1, 2])
+        return InHand(rp.matmul(mirror, self.grasp.palm_from_thing, mirror), height_m)
 
     def thing(self, slot: str, body: PosedBody) -> PlacedThing:
         """The thing in the hand of a body that sits in a seat."""

@@ -57,8 +57,10 @@ def holding(person: Person, hands: Hands, named: Sequence[str] = (), *, rng: np.
     place = hands[side].place
     order = handed(place, named, rng=rng)
     kind, variant = next((d for d in order if can_hold(person, place, *d)), order[0])
+    held = hold(person, place, kind, variant, side)
     rest = [h._replace(place=THIGH) if s != side and s in able else h for s, h in enumerate(hands)]
-    return (rest[0], rest[1]), hold(person, place, kind, variant, side)
+    rest[side] = rest[side]._replace(thing=held.in_hand)
+    return (rest[0], rest[1]), held
 
 
 def carrying(hands: Hands, carried: Hold) -> Hands:
@@ -67,5 +69,6 @@ def carrying(hands: Hands, carried: Hold) -> Hands:
     if not serves(carried, mine.place):
         below_m = -float(carried.grasp.palm_from_thing[1, 3]) if isinstance(carried.place.held, Around) else None
         mine = mine._replace(place=CARRY, below_m=below_m)
+    mine = mine._replace(thing=carried.in_hand)
     other = other._replace(place=THIGH) if other.place.held is not None else other
     return (mine, other) if carried.side == 0 else (other, mine)

@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Floats, Floats32, Matrix, axis_rotation, transform
+from cabinpose.core import Floats, Floats32, Matrix, apply, axis_rotation, cross, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import Cabin, Seat, SteeringWheel
@@ -34,6 +34,9 @@ _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
 _OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
 _REACHED_SIGMA_M = 0.012
+# The axis of what is drunk from: 20 to 60 deg above the level of the head with what is in it (assumed), somewhat from its own side.
+_RAISED, _FROM_ASIDE, _LIPS_M = (math.radians(22.0), math.radians(9.0)), 0.15, 0.004
+_ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)  # of a hand that drinks from nothing
 _KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
 _BEHIND_RIM_M, _LEAST_ALONG = 0.01, 0.5  # fingertips that end before the wheel's rim; share of the thigh
 
@@ -51,12 +54,19 @@ class Reach(NamedTuple):
     touched: bool = False
 
 
+class InHand(NamedTuple):
+    """A thing in a hand: palm_from_thing (4, 4) of that hand, and how high it stands, m."""
+
+    palm_from_thing: Matrix
+    height_m: float
+
+
 class Hand(NamedTuple):
     """One hand's intent, drawn once: its place, three standard normal numbers, and the angle at which it would hold a wheel that
     stands straight (rad from the top, + left).
 
     reach: where it goes, of places that reach · fingers: how they lie, (6,) as `Person.pose` takes them, NaN where they follow
-    the grip · below_m: how far what it carries upright reaches below the palm, None for what is carried flat.
+    the grip · below_m: how far what it carries upright reaches below the palm, None for what is carried flat · thing: what is in it.
     """
 
     place: HandPlace
@@ -65,6 +75,7 @@ class Hand(NamedTuple):
     reach: Reach | None = None
     fingers: Floats = at.BY_GRIP
     below_m: float | None = None
+    thing: InHand | None = None
 
     @property
     def palm(self) -> Matrix | None:
@@ -279,29 +290,37 @@ class _Mouth(HandPlace):
     name, carried_by, grip, touches = "mouth", "head", 0.5, "head"
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
-        return self._before(trunk, side, 0.07 + 0.01 * hand.noise[0], 0.03)
-
-    def _before(self, trunk: Trunk, side: int, forward: float, level: float) -> LimbTask:
-        """A palm `forward` m before the mouth and `level` m below it."""
-        head, s, person = trunk.skeleton.bone("head"), 1.0 - 2.0 * side, trunk.seated.person
-        skin = _skin(person, "head")
-        nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
-        size = float(np.ptp(skin[:, 2])) / _HEAD_M
-        mouth = np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
-        point = rp.matmul(head[:3, :3], mouth + (forward, s * 0.035, -level)) + head[:3, 3]
+        head, s = trunk.skeleton.bone("head"), 1.0 - 2.0 * side
+        point = head[:3, 3] + rp.matmul(
+            head[:3, :3], _mouth(trunk.seated.person) + (0.07 + 0.01 * hand.noise[0], s * 0.035, -0.03)
+        )
         inwards = rp.matmul(head[:3, :3], np.array((-0.35, -s, 0.0)))
         fingers = rp.matmul(head[:3, :3], np.array((1.0, -0.35 * s, 0.15)))
-        target = at.palm_frame(point, inwards, fingers)
-        return LimbTask.firm(target, (0.04, 0.02, 0.04), at.FACE_ARM)
+        return LimbTask.firm(at.palm_frame(point, inwards, fingers), (0.04, 0.02, 0.04), at.FACE_ARM)
 
 
-class _Drink(_Mouth):
-    """A bottle or a cup before the mouth."""
+class _Drink(HandPlace):
+    """A bottle or a cup at the mouth, its lower end before it and raised as far as it is empty."""
 
-    name, grip, held = "drink", 0.4, Around(0.42)
+    name, carried_by, grip, held, touches = "drink", "head", 0.4, Around(0.42), "head"
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
-        return self._before(trunk, side, 0.085 + 0.02 * hand.noise[0], 0.13 + 0.02 * hand.noise[2])
+        head, s = trunk.skeleton.bone("head"), 1.0 - 2.0 * side
+        raised = _RAISED[0] + _RAISED[1] * hand.noise[2]
+        aside = _FROM_ASIDE * s + 0.05 * hand.noise[1]
+        to_mouth = -np.array((rp.cos(raised), aside, rp.sin(raised)))  # in the head's frame
+        to_mouth = rp.matmul(head[:3, :3], to_mouth / rp.norm(to_mouth))
+        lips = head[:3, 3] + rp.matmul(head[:3, :3], _mouth(trunk.seated.person)) - _LIPS_M * to_mouth
+        thing = InHand(Around(0.42).turned(_ASSUMED_BOX), float(_ASSUMED_BOX[1, 2])) if hand.thing is None else hand.thing
+        top = apply(thing.palm_from_thing, np.array((0.0, 0.0, thing.height_m)))
+        # The thing's upright axis is y of the palm: to the thumb of the left hand, away from that of the right one.
+        y, inwards = s * to_mouth, rp.matmul(head[:3, :3], np.array((-0.2, -s, 0.35)))
+        target = np.eye(4)
+        z = inwards - rp.matmul(inwards, y) * y
+        target[:3, 1], target[:3, 2] = y, z / rp.norm(z)
+        target[:3, 0] = cross(target[:3, 1], target[:3, 2])
+        target[:3, 3] = lips - rp.matmul(target[:3, :3], top)
+        return LimbTask.firm(target, (0.06, 0.012, 0.06), at.FACE_ARM)
 
 
 class _Shin(HandPlace):
@@ -456,6 +475,14 @@ class _Take(_Give):
     """Around what was taken from another hand, above it."""
 
     name, held = "take", Around(0.70)
+
+
+def _mouth(person: Person) -> Floats:
+    """(3,) m in the head's frame: before the lips' middle."""
+    skin = _skin(person, "head")
+    nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
+    size = float(np.ptp(skin[:, 2])) / _HEAD_M
+    return np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
 
 
 def _skin(person: Person, segment: str) -> Floats:
