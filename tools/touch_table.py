@@ -96,7 +96,7 @@ def held(scene: Scene, person: ScenePerson) -> Surface:
     return next(thing for thing in scene.things if thing.at == "hand" and thing.slot == person.slot).surface(0)
 
 
-HEAD = own(_HEAD)
+HEAD, BELT = own(_HEAD), own(("seat_belt",), of=1)
 ROWS = (
     Row("telephone, head", "front_passenger", "phone_ear", "thing", HEAD, ("phone",)),
     Row("telephone at the door's side, head", "driver", "phone_ear_outer", "thing", HEAD, ("phone",)),
@@ -114,7 +114,7 @@ ROWS = (
     Row("hand, sun visor", "driver", "sun_visor", "hand", part("sun visors")),
     Row("hand, window switch", "driver", "window", "hand", part(*_DOOR)),
     Row("hand, armrest", "front_passenger", "armrest", "hand", part(*_DOOR)),
-    Row("hand, belt", "front_passenger", "belt", "hand", own(("seat_belt",), of=1)),
+    Row("hand, belt", "front_passenger", "belt", "hand", BELT),
     Row("hand, rim", "driver", "drive", "hand", part("steering wheel rim")),
     Row("hand, rim, one hand", "driver", "drive_one_hand", "hand", part("steering wheel rim")),
     Row("hand, own thigh", "front_passenger", "rest_lap", "hand", own(_THIGH)),
@@ -164,7 +164,7 @@ def measure(row: Row, scene: Scene) -> Measured | None:
         return None
     if row.target is held and not any(thing.at == "hand" and thing.slot == row.slot for thing in scene.things):
         return None
-    target = mesh_of(row.target(scene, person))
+    target = mesh_of(row.target(scene, person), closed=row.target is not BELT)  # webbing has no inside to speak of
     firm = mesh_of(_bare_head(person)) if row.target is HEAD else target  # hair and hats give way
     hands = []
     leading = person.person.leading_bone

@@ -134,7 +134,7 @@ class HandPlace:
     passes_on
         Whether the hand leaves room for another one at what it holds.
     touches
-        What the hand there, or what it holds, is brought to once the pose is solved: the car, or the own head.
+        What the hand there, or what it holds, is brought to once the pose is solved: the car, the belt, or the own head.
     grasps
         Whether its fingers close around that.
     """
@@ -384,7 +384,7 @@ class _Carry(HandPlace):
 class _Belt(HandPlace):
     """At the shoulder belt, in front of the shoulder that it comes from."""
 
-    name, carried_by, grip, watched = "belt", "spine01", 0.6, True
+    name, carried_by, grip, watched, touches = "belt", "spine01", 0.6, True, "belt"
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         return seat.belt is not None

@@ -198,15 +198,17 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
         name = prescribed.profile.kind
     must = [hand.place.miss_m for hand in hands] + [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
     angle = None if seated.wheel is None else wheel_angle
-    touches = tuple(t for side in (0, 1) if (t := _touch(hands[side], side, held)) and who.goals.weight[side].any())
+    touches = tuple(t for side in (0, 1) if (t := _touch(seated, hands[side], side, held)) and who.goals.weight[side].any())
     return Drawn(who, name, angle, np.array(must), seat.h_point(seated.setting), fingers, held, touches)
 
 
-def _touch(hand: Hand, side: int, held: Hold | None) -> Touch | None:
+def _touch(seated: SeatContext, hand: Hand, side: int, held: Hold | None) -> Touch | None:
     """What a hand (0 left, 1 right) is to touch; None where nothing is."""
     match hand.place.touches:
         case "car" if hand.reach is not None and hand.reach.touched:
-            return Touch(side, hand.reach.point, hand.place.grasps)
+            return Touch(side, hand.reach.point, grasps=hand.place.grasps)
+        case "belt" if seated.on is None:
+            return Touch(side, belt=seated)
         case "head" if held is not None and held.side == side or hand.place.held is None:
             return Touch(side)
     return None

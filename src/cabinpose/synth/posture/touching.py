@@ -16,8 +16,10 @@ import numpy as np
 from cabinpose.core import Floats, Ints, Matrix, apply, invert, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, SEGMENTS, Person, vertex_segments
+from cabinpose.scene.cabin import Wearer
 from cabinpose.scene.contact import STATIC_GROUP, GroupPart, PlacedField, TriangleMesh, triangle_mesh
 from cabinpose.scene.things import make_thing
+from cabinpose.synth.posture.context import SeatContext
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.goals import hand_to
 from cabinpose.synth.posture.grasps import OPEN_HAND, Hold, fingers_closed_on
@@ -30,18 +32,21 @@ _SEEN_M, _MOST_M = 0.12, 0.10  # how far surfaces are looked for, and hands are 
 _STEPS, _ROUNDS = 8, 3
 _PROBE_M = 0.0005  # of the differences that give a distance's direction
 _AWAY_M = 0.08  # of the part that is touched from the place that is reached for
+_WEBBING_M = 0.002  # felt on both sides of a belt
 _EVERY = 2  # of the vertices of hands
+_LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 
 
 class Touch(NamedTuple):
     """What a hand (0 left, 1 right), or the thing in it, is to touch.
 
-    point: (3,) m, vehicle frame: the part of the car that is nearest to it; None: the own head · grasps: whether the fingers close
-    around it.
+    point: (3,) m, vehicle frame: the part of the car that is nearest to it · belt: whose belt, in place of that; with neither it is
+    the own head · grasps: whether the fingers close around it.
     """
 
     side: int
     point: Floats | None = None
+    belt: SeatContext | None = None
     grasps: bool = False
 
 
@@ -107,8 +112,10 @@ def meet(who: Sitter, touch: Touch, fingers: Floats, hold: Hold | None, placed: 
     Floats
         The fingers, those of a hand that grasps closed around what it touches.
     """
-    part = None if touch.point is None else _nearest_part(touch.point, placed)
-    if touch.point is not None and part is None:
+    part = None
+    if touch.belt is not None:
+        part = _belt(who, touch.belt)
+    elif touch.point is not None and (part := _nearest_part(touch.point, placed)) is None:
         return fingers
     if touch.grasps:
         fingers = fingers.copy()
@@ -125,9 +132,6 @@ def meet(who: Sitter, touch: Touch, fingers: Floats, hold: Hold | None, placed: 
         fingers[touch.side] = (*curl, np.nan)
         who.q[DOF_INDEX["lr"[touch.side] + "hand.grip"]] = max(float(curl[1:].min()), _LEAST_GRIP)
     return fingers
-
-
-_LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 
 
 def _meetings(who: Sitter, touch: Touch, fingers: Floats, hold: Hold | None, part: GroupPart | None) -> list[_Meeting]:
@@ -162,6 +166,13 @@ def _head(person: Person) -> TriangleMesh:
     bone = BONE_INDEX["head"]
     from_bone = transform(person.rest.frames[bone], person.rest.heads[bone])
     return triangle_mesh(apply(invert(from_bone), person.rest_skin[used]), faces.reshape(-1, 3), closed=True)
+
+
+def _belt(who: Sitter, seated: SeatContext) -> GroupPart:
+    """The belt over somebody as it is worn right."""
+    posed = who.person.pose(who.q, who.root)
+    belt = Wearer.of(posed.surface(0), posed.joints).belt(seated.seat, seated.setting, seated.cabin)
+    return GroupPart("belt", triangle_mesh(belt.vertices, belt.faces, closed=False), 0.0, _WEBBING_M)
 
 
 def _nearest_part(point: Floats, placed: PlacedField | None) -> GroupPart | None:
