@@ -3,11 +3,12 @@
     python tools/touch_table.py --scenes 60 > docs/baseline/touch.json
     python tools/touch_table.py --scenes 60 --only gear drink
 
-Draws valid scenes as `cabinpose synth` does, each with one action asked for, leaves the rendering out, and prints a table on stderr
-and JSON on stdout. Of each scene the least distance between two rendered surfaces is measured: points of either against the
-triangles of the other, exact. A row of the table has the median and the 90 % quantile of the gap (mm), the share of scenes in which
-it is at most 10 mm with no point deeper than flesh gives way (8 mm), the median and the greatest depth (mm), the fingers of
-the nearer hand that are within 5 mm (of 5), and how many poses were drawn for one that holds.
+Draws valid scenes as `cabinpose synth` does, each with one action asked for, leaves the rendering out, and prints a table on
+stderr and JSON on stdout. Of each scene the least distance between two rendered surfaces is measured: points of either against
+the triangles of the other, exact. A row of the table has the median and the 90 % quantile of the gap (mm), the share of scenes
+in which it is at most 10 mm with no point deeper than flesh gives way (8 mm), the median and the greatest depth (mm), the fingers
+of the nearer hand that are within 5 mm (of 5), and how many poses were drawn for one that holds. Hair gives way: depths are
+those in the skin under it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import cabinpose
-from cabinpose.core import apply
 from cabinpose.core.errors import SceneError
 from cabinpose.scene import LABEL_ID, Surface, merge
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS
@@ -58,7 +58,7 @@ class Row(NamedTuple):
 def part(*names: str) -> Callable[[Scene, ScenePerson], Surface]:
     """Parts of the car by name."""
 
-    def surface(scene: Scene, person: ScenePerson) -> Surface:
+    def surface(scene: Scene, _: ScenePerson) -> Surface:
         assert scene.cabin is not None
         at = scene.cabin.group_transforms(scene.settings, wheel_angle=scene.wheel_angle)
         found = [p.surface.moved(at[p.group]) for p in scene.cabin.parts if p.name in names]
@@ -84,7 +84,7 @@ def _cut(surface: Surface, keep: NDArray[np.bool_]) -> Surface:
 def own(labels: tuple[str, ...], *, of: int = 0) -> Callable[[Scene, ScenePerson], Surface]:
     """What is seen of the person's own body with these labels; of: 1 for the belt."""
 
-    def surface(scene: Scene, person: ScenePerson) -> Surface:
+    def surface(_: Scene, person: ScenePerson) -> Surface:
         seen = person.surfaces[of]
         return _cut(seen, np.isin(seen.label, [LABEL_ID[label] for label in labels]))
 
@@ -239,7 +239,9 @@ def main() -> None:
                 f"{r['depth_max_mm']:7.1f}{r['fingers']:9.0f}{r['poses_per_scene']:7.2f}",
                 file=sys.stderr, flush=True,
             )  # fmt: skip
-    text = json.dumps({"version": cabinpose.__version__, "seed": arguments.seed, "scenes": arguments.scenes, "rows": result}, indent=1)
+    text = json.dumps(
+        {"version": cabinpose.__version__, "seed": arguments.seed, "scenes": arguments.scenes, "rows": result}, indent=1
+    )
     if arguments.out:
         arguments.out.write_text(text + "\n", encoding="utf-8")
     else:

@@ -205,7 +205,7 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
 
 
 def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
-    """Places that hands go to, (3,) vehicle, m: on the surface of the thing, or a finger's width before it; a lever's knob, inside."""
+    """Places that hands go to, (3,) vehicle, m: on the surface of the thing or a finger's width before it; a knob's middle."""
     d = layout.d
     front, rear = layout.h_front, layout.h_rear
     targets: dict[str, Vector] = {}

@@ -34,7 +34,7 @@ _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
 _OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
 _REACHED_SIGMA_M = 0.012
-# The axis of what is drunk from: 20 to 60 deg above the level of the head with what is in it (assumed), somewhat from its own side.
+# The axis of what is drunk from, above the level of the head: some 20 deg when it is full, more when it is not (assumed).
 _RAISED, _FROM_ASIDE, _LIPS_M = (math.radians(22.0), math.radians(9.0)), 0.15, 0.004
 _ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)  # of a hand that drinks from nothing
 _KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
@@ -66,7 +66,8 @@ class Hand(NamedTuple):
     stands straight (rad from the top, + left).
 
     reach: where it goes, of places that reach · fingers: how they lie, (6,) as `Person.pose` takes them, NaN where they follow
-    the grip · below_m: how far what it carries upright reaches below the palm, None for what is carried flat · thing: what is in it.
+    the grip · below_m: how far what it carries upright reaches below the palm, None for what is carried flat · thing: what is in
+    it.
     """
 
     place: HandPlace
@@ -150,7 +151,7 @@ class HandPlace:
     watched: ClassVar[bool] = False
     on_wheel: ClassVar[bool] = False
     passes_on: ClassVar[bool] = False
-    touches: ClassVar[Literal["", "car", "head"]] = ""
+    touches: ClassVar[Literal["", "car", "belt", "head"]] = ""
     grasps: ClassVar[bool] = False
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
@@ -270,7 +271,7 @@ class _Either(HandPlace):
 
 
 class _Ear(HandPlace):
-    """A telephone at the own ear: its upper end, which stands out of the hand, before the ear, the lower one towards the mouth."""
+    """A telephone at the own ear: its upper end, which stands out of the hand, at the ear, the lower one towards the mouth."""
 
     name, carried_by, grip, held, touches = "ear", "head", 0.5, Flat(math.radians(5.0), 0.045), "head"
 

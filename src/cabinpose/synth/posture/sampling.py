@@ -209,7 +209,7 @@ def _touch(seated: SeatContext, hand: Hand, side: int, held: Hold | None) -> Tou
             return Touch(side, hand.reach.point, grasps=hand.place.grasps)
         case "belt" if seated.on is None:
             return Touch(side, belt=seated)
-        case "head" if held is not None and held.side == side or hand.place.held is None:
+        case "head" if (held is not None and held.side == side) or hand.place.held is None:
             return Touch(side)
     return None
 

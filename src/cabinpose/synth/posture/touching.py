@@ -40,8 +40,8 @@ _LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 class Touch(NamedTuple):
     """What a hand (0 left, 1 right), or the thing in it, is to touch.
 
-    point: (3,) m, vehicle frame: the part of the car that is nearest to it · belt: whose belt, in place of that; with neither it is
-    the own head · grasps: whether the fingers close around it.
+    point: (3,) m, vehicle frame: the part of the car that is nearest to it · belt: whose belt, in place of that; with neither it
+    is the own head · grasps: whether the fingers close around it.
     """
 
     side: int
