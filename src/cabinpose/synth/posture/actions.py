@@ -83,6 +83,8 @@ class Action:
         Which, of `THINGS`; () for what hands usually hold at these places.
     most_neighbours
         Within touch, with whom there is room for it in a random choice.
+    steers
+        Whether it is driving alone: the wheel may then be turned up to its lock.
 
     Raises
     ------
@@ -102,6 +104,7 @@ class Action:
     in_hand: Literal["never", "sometimes", "always"] = "never"
     things: tuple[str, ...] = ()
     most_neighbours: int = 2
+    steers: bool = False
 
     def __post_init__(self) -> None:
         if self.gaze.at_hand and not (self.inboard.watched or self.outboard.watched):
@@ -120,8 +123,8 @@ _ROAD = Gaze((0.0, 7.0), (-5.0, 4.0))
 _FREE = Gaze((0.0, 20.0), (-8.0, 9.0))
 _HAND = Gaze(at_hand=True)
 _DRIVER = (
-    Action("drive", WHEEL, WHEEL, _ROAD, weight=4.0),
-    Action("drive_one_hand", EITHER, WHEEL, _ROAD, weight=2.0),
+    Action("drive", WHEEL, WHEEL, _ROAD, weight=3.4, steers=True),
+    Action("drive_one_hand", EITHER, WHEEL, _ROAD, weight=2.6, steers=True),
     Action("look_mirror", WHEEL, WHEEL, Gaze((48.0, 12.0), (-6.0, 5.0), either_side=True)),
 )
 _REACH_FRONT = (

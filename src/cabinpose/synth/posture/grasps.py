@@ -220,11 +220,16 @@ def fingers_closed_on(person: Person, mesh: TriangleMesh, vehicle_from_palm: Mat
     for finger in range(5):
         start = int(np.searchsorted(_CURLS, OPEN_HAND[finger] - 1e-9))
         mine = hand.skin[start:, hand.finger == finger]
-        points = apply(from_skin, mine.reshape(-1, 3).astype(np.float64))
-        distance = mesh.signed_distance(points, 2.0 * _TOUCHES_M).reshape(len(mine), -1).min(axis=1)
-        met = np.flatnonzero(distance < 0.0)
-        if len(met):
-            curl[finger] = _CURLS[start + max(int(met[0]) - 1, 0)]
+
+        def met(rows: slice, mine: Floats32 = mine) -> Ints:
+            points = apply(from_skin, mine[rows].reshape(-1, 3).astype(np.float64))
+            return np.flatnonzero(mesh.signed_distance(points, _TOUCHES_M).reshape(-1, mine.shape[1]).min(axis=1) < 0.0)
+
+        coarse = met(slice(0, None, _COARSE))
+        if len(coarse):
+            last = _COARSE * int(coarse[0])
+            first = max(last - _COARSE, 0)
+            curl[finger] = _CURLS[start + max(first + int(met(slice(first, last + 1))[0]) - 1, 0)]
     return curl
 
 

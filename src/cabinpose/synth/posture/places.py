@@ -199,7 +199,7 @@ class _Wheel(HandPlace):
         wheel = trunk.seated.wheel
         assert wheel is not None  # see `exists`
         hold = at.rim_grip(trunk.seated.person, wheel.rim_section_m)
-        return at.on_rim(wheel, hand.clock + trunk.wheel_angle, hold, 0.5 + 0.1 * hand.noise[1])
+        return at.on_rim(wheel, at.regripped(hand.clock, trunk.wheel_angle), hold, 0.5 + 0.1 * hand.noise[1], side)
 
 
 class _Thigh(HandPlace):

@@ -33,6 +33,7 @@ _STEPS, _ROUNDS = 8, 3
 _PROBE_M = 0.0005  # of the differences that give a distance's direction
 _AWAY_M = 0.08  # of the part that is touched from the place that is reached for
 _WEBBING_M = 0.002  # felt on both sides of a belt
+_FEW, _BESIDE_M = 12, 0.010  # one of so many points tells how far to look; others are deeper by no more than that
 _EVERY = 2  # of the vertices of hands
 _LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 
@@ -67,9 +68,10 @@ class _Meeting(NamedTuple):
         local = apply(self.mesh_from_vehicle, self.points[rows] + self.moving * shift)
         return np.asarray(np.min([mesh.signed_distance(local, seen_m) for mesh in self.meshes], axis=0) - self.shell_m)
 
-    def nearest(self, shift: Floats, seen_m: float) -> tuple[float, Floats]:
+    def nearest(self, shift: Floats) -> tuple[float, Floats]:
         """The least distance (m), and the direction (3,) in which the hand goes away from it fastest."""
-        distance = self.distance(shift, seen_m=seen_m)
+        few = self.distance(shift, slice(None, None, _FEW))
+        distance = self.distance(shift, seen_m=min(abs(float(few.min())) + _BESIDE_M + self.shell_m, _SEEN_M))
         point = int(np.argmin(distance))
         sides = [self.distance(shift + step, slice(point, point + 1))[0] for step in _PROBES]
         return float(distance[point]), np.array([sides[2 * axis] - sides[2 * axis + 1] for axis in range(3)])
@@ -77,16 +79,15 @@ class _Meeting(NamedTuple):
 
 def _shift(meetings: Sequence[_Meeting]) -> Floats | None:
     """(3,) m by which a hand meets the first of some surfaces that it comes to; None where it is too far from all of them."""
-    shift, seen_m = np.zeros(3), _SEEN_M
+    shift = np.zeros(3)
     for _ in range(_STEPS):
-        distance, grows = min((meeting.nearest(shift, seen_m) for meeting in meetings), key=lambda found: found[0])
+        distance, grows = min((meeting.nearest(shift) for meeting in meetings), key=lambda found: found[0])
         off, length = distance + TOUCH_M, rp.norm(grows)
         if abs(off) < _CLOSE_M:
             break
         if length < 1e-9:  # nothing is within what is seen
             return None
         shift = shift - off * grows / length
-        seen_m = min(_SEEN_M, 2.0 * abs(off) + 0.02)
     return shift if rp.norm(shift) < _MOST_M else None
 
 
