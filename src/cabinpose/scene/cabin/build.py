@@ -205,16 +205,18 @@ def _rear_row(layout: Layout, parts: list[Part]) -> dict[str, Seat]:
 
 
 def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
-    """Places that hands go to, (3,) vehicle, m, on the surface of the thing or a finger's width before it."""
+    """Places that hands go to, (3,) vehicle, m: on the surface of the thing or a finger's width before it; a knob's middle."""
     d = layout.d
     front, rear = layout.h_front, layout.h_rear
     targets: dict[str, Vector] = {}
     if not layout.facing:
         shape, face_x, top_z, low_z = cockpit.dash_measures(layout)
-        screen_z = top_z + 0.02 if shape.screen == "floating" else top_z - 0.145
-        targets["infotainment"] = np.array([face_x - shape.stack - 0.045, 0.0, screen_z])
-        targets["climate"] = np.array([face_x - shape.stack - 0.03, 0.0, top_z - 0.22])
-        targets["glovebox"] = np.array([face_x + shape.passenger - 0.03, -front[1], 0.5 * (low_z + top_z) - 0.05])
+        floating = shape.screen == "floating"
+        targets["infotainment"] = np.array(
+            [face_x - shape.stack + (-0.032 if floating else 0.0), 0.0, top_z + (0.02 if floating else -0.145)]
+        )
+        targets["climate"] = np.array([face_x - shape.stack, 0.0, top_z - 0.22])
+        targets["glovebox"] = np.array([face_x + shape.passenger - 0.01, -front[1], 0.5 * (low_z + top_z) - 0.05])
         mirror_z = layout.header_z - 0.105
         targets["mirror"] = np.array([float(layout.screen_x(np.array(mirror_z))) - 0.13, 0.0, mirror_z])
         visor_x = layout.header_x - 0.17
@@ -224,7 +226,7 @@ def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
             for side, sign in (("left", 1.0), ("right", -1.0)):
                 y = sign * (float(layout.half_width(h[0] + 0.12, h[2] + 0.2)) - 0.045)
                 targets[f"{row}armrest_{side}"] = np.array([h[0] + 0.10, y, h[2] + 0.205])
-                door = sign * (float(layout.half_width(h[0] + 0.34, h[2] + 0.25)) - 0.045)
+                door = sign * (float(layout.half_width(h[0] + 0.34, h[2] + 0.25)) - 0.015)
                 targets[f"{row}window_switch_{side}"] = np.array([h[0] + 0.34, door, h[2] + 0.255])
         if d.console_style != "none":
             lid = {"low": 0.08, "tunnel": 0.14, "high": 0.18}[d.console_style]

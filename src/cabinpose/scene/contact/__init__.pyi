@@ -1,10 +1,12 @@
 from .field import BAND_M as BAND_M
 from .field import OUTSIDE as OUTSIDE
+from .field import STATIC_GROUP as STATIC_GROUP
 from .field import WHEEL_GROUP as WHEEL_GROUP
 from .field import Contact as Contact
 from .field import ContactField as ContactField
 from .field import ContactScene as ContactScene
 from .field import GroupField as GroupField
+from .field import GroupPart as GroupPart
 from .field import PlacedField as PlacedField
 from .pairs import BOTH_YIELD_M as BOTH_YIELD_M
 from .pairs import FLESH_M as FLESH_M

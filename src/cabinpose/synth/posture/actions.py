@@ -25,10 +25,13 @@ from cabinpose.synth.posture.places import (
     EAR,
     EITHER,
     GIVE,
+    KNOB,
+    MIRROR,
     MOUTH,
     REACH,
     SHIN,
     THIGH,
+    VISOR,
     WHEEL,
     HandPlace,
 )
@@ -80,6 +83,8 @@ class Action:
         Which, of `THINGS`; () for what hands usually hold at these places.
     most_neighbours
         Within touch, with whom there is room for it in a random choice.
+    steers
+        Whether it is driving alone: the wheel may then be turned up to its lock.
 
     Raises
     ------
@@ -99,6 +104,7 @@ class Action:
     in_hand: Literal["never", "sometimes", "always"] = "never"
     things: tuple[str, ...] = ()
     most_neighbours: int = 2
+    steers: bool = False
 
     def __post_init__(self) -> None:
         if self.gaze.at_hand and not (self.inboard.watched or self.outboard.watched):
@@ -117,16 +123,16 @@ _ROAD = Gaze((0.0, 7.0), (-5.0, 4.0))
 _FREE = Gaze((0.0, 20.0), (-8.0, 9.0))
 _HAND = Gaze(at_hand=True)
 _DRIVER = (
-    Action("drive", WHEEL, WHEEL, _ROAD, weight=4.0),
-    Action("drive_one_hand", EITHER, WHEEL, _ROAD, weight=2.0),
+    Action("drive", WHEEL, WHEEL, _ROAD, weight=3.4, steers=True),
+    Action("drive_one_hand", EITHER, WHEEL, _ROAD, weight=2.6, steers=True),
     Action("look_mirror", WHEEL, WHEEL, Gaze((48.0, 12.0), (-6.0, 5.0), either_side=True)),
 )
 _REACH_FRONT = (
     Action("reach_infotainment", REACH, EITHER, _HAND, ("infotainment",), seats="front"),
     Action("reach_climate", REACH, EITHER, _HAND, ("climate",), weight=0.5, seats="front"),
-    Action("gear", REACH, EITHER, Gaze((0.0, 10.0), (-8.0, 6.0)), ("gear_lever",), seats="driver"),
-    Action("adjust_mirror", REACH, EITHER, _HAND, ("mirror",), seats="front"),
-    Action("sun_visor", EITHER, REACH, _HAND, ("{visor}",), weight=0.5, seats="front"),
+    Action("gear", KNOB, EITHER, Gaze((0.0, 10.0), (-8.0, 6.0)), ("gear_lever",), seats="driver"),
+    Action("adjust_mirror", MIRROR, EITHER, _HAND, ("mirror",), seats="front"),
+    Action("sun_visor", EITHER, VISOR, _HAND, ("{visor}",), weight=0.5, seats="front"),
 )
 _ANYWHERE = (
     Action("rest_lap", THIGH, THIGH, _FREE, weight=2.5),
@@ -155,7 +161,7 @@ _ANYWHERE = (
     ),
 )  # fmt: skip
 _HOLDING = (
-    Action("drink", DRINK, EITHER, Gaze((0.0, 12.0), (4.0, 5.0)), in_hand="always"),
+    Action("drink", DRINK, EITHER, Gaze((0.0, 12.0), (16.0, 6.0)), in_hand="always"),
     Action("read", BOOK, THIGH, _HAND, in_hand="always"),
 )
 _PASSENGER = (Action("reach_glovebox", EITHER, REACH, _HAND, ("glovebox",), seats="front_passenger"),)

@@ -12,6 +12,7 @@ from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, LOWER, UPPER, Pers
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.context import Trunk
 from cabinpose.synth.posture.feet import FootGoal
+from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.solver import Goals, Sitter, solve
 
@@ -19,6 +20,7 @@ TASKS = ("lhand", "rhand", "lfoot", "rfoot", "head")
 # Weights of departing from the comfortable posture, 1/rad, against those of 1 m: a trunk that follows its hands and gives way.
 _OF_JOINT = {"lumbar": 0.2, "thorax": 0.2, "neck": 0.05, "head": 0.04, "head.flexion": 0.09, "lclavicle": 0.08, "rclavicle": 0.08}
 _LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.03])
+_PEDAL_LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.05, 0.03])  # an ankle that is not bent to its limit
 _STIFFNESS = np.array([_OF_JOINT.get(dof.name, _OF_JOINT.get(dof.name.split(".")[0], 0.0)) for dof in DOFS])
 _ROOT_WEIGHT = np.array([10.0, 4.0, 20.0, 1.5, 1.5, 1.0])  # a pelvis hardly leaves its cushion, and slides and turns before
 _STANDING_LEG = np.radians((8.0, 4.0, 0.0, 12.0, 4.0, 0.0))
@@ -66,7 +68,7 @@ def sitter(trunk: Trunk, hands: tuple[HandGoal, HandGoal], feet: tuple[FootGoal,
         rows.append(("lr"[side] + "hand", person.rest.palms[side], base, target, weight))
     for side, foot in enumerate(feet):
         leg = slice(_LEG[side], _LEG[side] + 6)
-        q[leg], stiffness[leg] = foot.prior, _LEG_STIFFNESS
+        q[leg], stiffness[leg] = foot.prior, _PEDAL_LEG_STIFFNESS if foot.must else _LEG_STIFFNESS
         rows.append(("lr"[side] + "foot", foot.tool, "", foot.target, foot.weight))
     rows.append(("head", np.eye(4), "", head, _ON_GAZE))
     q = np.clip(q, LOWER, UPPER)
@@ -161,7 +163,7 @@ def hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats) -
     looked. The palm keeps its direction as far as the arm likes. Limits hold; whatever is in the way is not seen.
     """
     alone = _hand_to(person, q, root, side, place, leaning=False)
-    missed = rp.norm(person.pose(alone, root).palms["lr"[side]][:3, 3] - place)
+    missed = rp.norm(frames(alone, person.rest, root).palms[side][:3, 3] - place)
     return alone if missed < _IN_REACH_M else _hand_to(person, q, root, side, place, leaning=True)
 
 
@@ -174,14 +176,14 @@ def _hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats, 
     arms = [slice(_ARM[s], _ARM[s] + 7) for s in ((0, 1) if leaning else (side,))]
     for arm in arms:
         free[arm], stiffness[arm] = True, _DRAGGED_ARM
-    posed = person.pose(q, root)
-    target = posed.palms["lr"[side]].copy()
+    posed = frames(q, person.rest, root)
+    target = posed.palms[side].copy()
     target[:3, 3] = place
     rows = [("lr"[side] + "hand", person.rest.palms[side], "", target, _ON_PLACE)]
     if leaning:
         other = "rl"[side]
-        rows.append((other + "hand", person.rest.palms[1 - side], "", posed.palms[other], _STAYS))
-        rows.append(("head", np.eye(4), "", posed.bones[BONE_INDEX["head"]], _ON_GAZE))
+        rows.append((other + "hand", person.rest.palms[1 - side], "", posed.palms[1 - side], _STAYS))
+        rows.append(("head", np.eye(4), "", posed.bone("head"), _ON_GAZE))
     lower, upper = np.where(free, LOWER, q), np.where(free, UPPER, q)
     goals = Goals(q, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
     return at_goals(Sitter(person, "", goals, q.copy(), root))

@@ -15,10 +15,11 @@ import numpy as np
 from cabinpose.core import Bools, ConfigError, Floats, Floats32, Ints, Matrix, SceneError, apply, invert, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, PosedBody
+from cabinpose.scene.contact import TriangleMesh
 from cabinpose.scene.things import OBJECTS, THINGS, VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
 from cabinpose.synth.posture.memory import kept_with_person
-from cabinpose.synth.posture.places import GIVE, TAKE, Around, HandPlace
+from cabinpose.synth.posture.places import GIVE, TAKE, Around, HandPlace, InHand
 
 PRESSED_M = 0.003  # of the skin by what is held; the verdict lets flesh yield by 8 mm
 _AT_REST_M = 0.001  # the same while the hand is still open
@@ -64,6 +65,13 @@ class Hold(NamedTuple):
         """vehicle_from_thing, (4, 4), of the thing in this hand. Things are their own mirror images in y = 0."""
         mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
         return np.asarray(rp.matmul(vehicle_from_palm, mirror, self.grasp.palm_from_thing, mirror))
+
+    @property
+    def in_hand(self) -> InHand:
+        """Where it is in this hand."""
+        mirror = np.diag((1.0, 1.0 - 2.0 * self.side, 1.0, 1.0))
+        height_m = float(make_thing(self.kind, self.variant).box[1, 2])
+        return InHand(rp.matmul(mirror, self.grasp.palm_from_thing, mirror), height_m)
 
     def thing(self, slot: str, body: PosedBody) -> PlacedThing:
         """The thing in the hand of a body that sits in a seat."""
@@ -199,6 +207,30 @@ def _encloses(touching: Floats) -> bool:
     """Whether points (N, 3) that touch a thing lie all around its upright axis, and not on one side of it."""
     around = touching[:, :2] / np.maximum(np.linalg.norm(touching[:, :2], axis=1, keepdims=True), 1e-9)
     return rp.norm(around.mean(axis=0)) < _ONE_SIDED
+
+
+def fingers_closed_on(person: Person, mesh: TriangleMesh, vehicle_from_palm: Matrix, side: int) -> Floats:
+    """(5,) curl of fingers that close from the open hand until each touches a surface (vehicle frame); loose where none does.
+
+    side: 0 left, 1 right · vehicle_from_palm: of that hand, (4, 4).
+    """
+    hand, curl = _hand(person), _LOOSE.copy()
+    mirror = np.diag((1.0, 1.0 - 2.0 * side, 1.0, 1.0))
+    from_skin = rp.matmul(vehicle_from_palm, mirror)
+    for finger in range(5):
+        start = int(np.searchsorted(_CURLS, OPEN_HAND[finger] - 1e-9))
+        mine = hand.skin[start:, hand.finger == finger]
+
+        def met(rows: slice, mine: Floats32 = mine) -> Ints:
+            points = apply(from_skin, mine[rows].reshape(-1, 3).astype(np.float64))
+            return np.flatnonzero(mesh.signed_distance(points, _TOUCHES_M).reshape(-1, mine.shape[1]).min(axis=1) < 0.0)
+
+        coarse = met(slice(0, None, _COARSE))
+        if len(coarse):
+            last = _COARSE * int(coarse[0])
+            first = max(last - _COARSE, 0)
+            curl[finger] = _CURLS[start + max(first + int(met(slice(first, last + 1))[0]) - 1, 0)]
+    return curl
 
 
 def _brought_near(thing: Thing, turned: Matrix, hand: Cloud, along: float) -> Matrix:

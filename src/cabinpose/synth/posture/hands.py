@@ -14,7 +14,7 @@ import numpy as np
 
 from cabinpose.core import Floats, Ints, Matrix, apply, axis_rotation, cross, invert, transform
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import DOF_INDEX, LOWER, SEGMENTS, Person, vertex_segments
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, load_shape_space, vertex_segments
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.synth.posture.context import Trunk
 from cabinpose.synth.posture.frames import frames
@@ -48,11 +48,23 @@ POINTING: tuple[Fingers, ...] = (
 )
 UNDER_WHEEL = tuple(shape for shape in RESTING if max(shape.curl) < 0.1)  # a wheel leaves no room for more
 BY_GRIP = np.full(6, np.nan)
+# Hours of a left hand at the rim and their shares; the right one's are their mirror images. Drivers with both hands on it seldom
+# hold it alike on both sides (6 to 12 %), 55 to 64 % have a hand from 10 to 2 (Jonsson 2011, Traffic Inj. Prev. 12): shares of
+# the hours assumed so that this comes out.
+_TWO_HANDS = (10.3, 9.8, 9.2, 8.6, 8.0), (0.20, 0.24, 0.24, 0.20, 0.12)
+_ONE_HAND = (12.0, 11.0, 10.3, 9.6, 8.8, 8.0), (0.06, 0.06, 0.28, 0.26, 0.22, 0.12)
+_CLOCK_SIGMA_DEG = 8.0
+# How far a wheel is turned (deg) at so many standard deviations: within 10 deg in 80 %, corners to 270, a manoeuvre to the lock
+# in some 4 % (shares assumed).
+_TURNED = ((0.0, 0.0), (1.28, 10.0), (1.5, 60.0), (2.0, 270.0), (2.5, 450.0))
+# A hand goes along with the rim until it takes hold anew, and no farther down than that; no hand lets go for little (assumed).
+_CARRIED, _LOWEST, _LITTLE = math.radians(90.0), math.radians(125.0), math.radians(15.0)
 _HAND_SIGMA, _FINGER_SIGMA, _CLOSED_SIGMA = 0.05, 0.035, 0.2
 
 
 RIM_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 _PRESSED_M = 0.001  # of the skin around a rim
+_RIM_SLANT = math.radians(20.0)  # of a rim in the hand, from square across the palm: the wrist stays straighter (assumed)
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
 _CLOTH_M, _THIGH_RADIUS_M = 0.012, 0.09  # between what is lowest of a hand and the thigh's skin; the thigh's own
 _SLOPES = np.linspace(-0.2, 0.6, 33)  # of a lying hand
@@ -60,7 +72,7 @@ PALM_M = 0.015  # from the palm's skin to the origin of its frame
 HAND_M = 0.095  # from the palm's origin to the tip of the middle finger, of an adult
 STIFFNESS = np.array([0.006, 0.025, 0.008, 0.001, 0.010, 0.012, 0.016])
 _RESTING_STIFFNESS = np.array([0.05, 0.02, 0.008, 0.001, 0.010, 0.012, 0.016])  # elbows before the backrest's bolsters
-_STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.006, 0.012, 0.008])
+_STEERING_STIFFNESS = np.array([0.006, 0.05, 0.012, 0.001, 0.006, 0.012, 0.020])
 FIRM = np.full(3, 5.0)
 STAYS = np.full(3, 20.0)
 _GRASP = np.full(3, 5.0)  # a hand around the rim moves along it, not into it
@@ -96,6 +108,8 @@ FACE_ARM = np.radians((45.0, 25.0, 15.0, 125.0, 0.0, 0.0, 0.0))
 CROSS_ARM = np.radians((40.0, 0.0, 50.0, 95.0, 20.0, 0.0, 0.0))
 CARRY_ARM = np.radians((25.0, 12.0, 15.0, 80.0, 10.0, 0.0, 0.0))
 UP_ARM = np.radians((95.0, 25.0, 0.0, 45.0, 20.0, 0.0, 0.0))
+ROOF_ARM = np.radians((110.0, 30.0, -20.0, 70.0, 0.0, -20.0, 0.0))
+LEVER_ARM = np.radians((35.0, 15.0, 5.0, 50.0, 60.0, -10.0, 0.0))
 
 
 @kept_with_person
@@ -141,6 +155,40 @@ def resting_fingers(noise: tuple[float, ...], shapes: tuple[Fingers, ...]) -> Fl
     return _fingers(curl, shape.closed, rng)
 
 
+def clocks(key: float, *, alone: bool) -> Floats:
+    """(2,) at which angles (rad from the top, + left) the left and the right hand hold a wheel that stands straight.
+
+    key: 0 to 1, of which they are drawn, each for itself · alone: whether it is one hand that drives.
+    """
+    rng = np.random.Generator(np.random.Philox(key=np.array((key, 0.0)).view(np.uint64)))
+    hours, shares = _ONE_HAND if alone else _TWO_HANDS
+    drawn = np.radians(
+        30.0 * np.array([12.0 - rng.choice(hours, p=shares) for _ in (0, 1)]) + _CLOCK_SIGMA_DEG * rng.standard_normal(2)
+    )
+    return np.asarray(drawn * (1.0, -1.0))
+
+
+def turned_wheel(normal: float, *, driving: bool) -> float:
+    """How a wheel is turned (rad, + left), of a standard normal number: mostly a few degrees, seldom up to its lock.
+
+    driving: whether the hands do nothing but that.
+    """
+    sigmas, angles = np.array(_TURNED if driving else _TURNED[:2]).T
+    return math.copysign(math.radians(float(np.interp(abs(normal), sigmas, angles))), normal)
+
+
+def regripped(clock: float, wheel_angle: float) -> float:
+    """Where a hand is (rad from the top, + left) whose place is `clock` with a wheel that stands straight.
+
+    Hands go along with the rim as far as `_CARRIED`, one of them over the top, and then take hold anew; one that would come below
+    `_LOWEST` has done so before the other.
+    """
+    if abs(wheel_angle) <= _LITTLE:
+        return clock + wheel_angle
+    carried = clock + math.copysign(abs(wheel_angle) % _CARRIED, wheel_angle)
+    return clock if abs(carried) > _LOWEST else carried
+
+
 def fingers_on_rim(noise: tuple[float, ...], rim: float) -> Floats:
     """The same around a rim, none tighter than the curl `rim` that holds it; some index fingers lie along it."""
     rng = _own_rng(noise)
@@ -169,6 +217,21 @@ def lying(person: Person, fingers: Floats) -> Lying:
     return Lying(float(reach[best]) * rp.cos(pitch), pitch)
 
 
+def fingertip(person: Person, fingers: Floats) -> Floats:
+    """(3,) m, palm frame of a left hand: the end of the index finger of a hand with its fingers (6,) like that."""
+    q = np.zeros(len(LOWER))
+    q[DOF_INDEX["lhand.grip"]] = 1.0  # the kernel curls by the share of it
+    skin = person.skin_part(_index_rows(), np.stack((fingers, np.full(6, np.nan))))(q, np.eye(4))
+    local = apply(_palm_from_root(person), skin)
+    return np.asarray(local[int(np.argmax(local[:, 0]))])
+
+
+@cache
+def _index_rows() -> Ints:
+    """Vertices of the last phalanx of a left index finger."""
+    return np.flatnonzero(load_shape_space().bone_index[:, 0] == BONE_INDEX["lfinger2_3"])
+
+
 @cache
 def _hand_rows() -> Ints:
     """Vertices of a left hand, one of three."""
@@ -181,7 +244,7 @@ def _palm_from_root(person: Person) -> Matrix:
 
 
 class RimGrip(NamedTuple):
-    """How a person's hand closes around a rim: the fingers' curl, and the rim's axis in the palm frame (m along x and z)."""
+    """How a hand closes around a rim: the fingers' curl, and the rim's axis in the palm (m square to it, and along z)."""
 
     grip: float
     along: float
@@ -200,20 +263,21 @@ def rim_grip(person: Person, section_m: float) -> RimGrip:
         palm = posed.palms["l"]
         local = rp.matmul(posed.skin[hand] - palm[:3, 3], palm[:3, :3])
         local = local[np.abs(local[:, 1]) < _RIM_REACH_M]
+        across = rp.cos(_RIM_SLANT) * local[:, 0] - rp.sin(_RIM_SLANT) * local[:, 1]
         for along in (-0.004, 0.0, 0.004, 0.008, 0.012):
             for off in (0.0, 0.004, 0.008, 0.012):
-                clear = float(rp.hypot(local[:, 0] - along, local[:, 2] - off).min()) - section_m
+                clear = float(rp.hypot(across - along, local[:, 2] - off).min()) - section_m
                 cost = 60.0 * max(-_PRESSED_M - clear, 0.0) / _PRESSED_M - grip + 20.0 * (abs(along) + off)
                 if cost < best_cost:
                     best, best_cost = RimGrip(float(grip), along, off), cost
     return best
 
 
-def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5) -> LimbTask:
+def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float, side: int) -> LimbTask:
     """A hand closed around the rim at `angle` (rad from the top, + to the left, as the wheel stands now).
 
-    The rim runs across the palm, thumb upwards at three and nine; the palm lies on it from outside, turned by `lean`
-    (rad) towards the driver's side. Rolling around the rim and slanting on it are nearly free, as in a real grip.
+    The rim runs across the palm by `_RIM_SLANT`, thumb upwards at three and nine; the palm lies on it from outside, turned by
+    `lean` (rad) towards the driver's side. Rolling around the rim is nearly free, as in a real grip. side: 0 left, 1 right.
     """
     point, tangent = wheel.grip_point(angle), wheel.tangent(angle)
     axis = wheel.vehicle_from_wheel[:3, 2]
@@ -222,6 +286,7 @@ def on_rim(wheel: SteeringWheel, angle: float, hold: RimGrip, lean: float = 0.5)
     normal = rp.cos(lean) * inward - rp.sin(lean) * axis
     fingers = cross(-tangent, normal)
     target = palm_frame(point - hold.off * normal - hold.along * fingers, normal, fingers)
+    target = rp.matmul(target, transform(axis_rotation("z", (1.0 - 2.0 * side) * _RIM_SLANT)))
     return LimbTask(target, _GRASP, np.array([0.22, 0.02, 0.22]), WHEEL_ARM, _STEERING_STIFFNESS)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +13,6 @@ from cabinpose.synth.posture.context import SeatContext
 from cabinpose.synth.posture.grasps import Hold, can_hold, handed, hold, serves
 from cabinpose.synth.posture.places import CARRY, THIGH, Around, Hand, Reach
 
-_CLOCKS_DEG, _CLOCK_SHARES = (90.0, 65.0, 100.0), (0.55, 0.35, 0.1)  # nine-three, ten-two, below
 Hands = tuple[Hand, Hand]  # left, right
 
 
@@ -23,7 +21,7 @@ def intents(action: Action, seated: SeatContext, inboard: int, given: Reach | No
 
     inboard: the hand (0 left, 1 right) that does the inboard part · given: where hands reach that have no place of the cabin.
     """
-    clock = math.radians(float(rng.choice(_CLOCKS_DEG, p=_CLOCK_SHARES)))
+    clock_key = float(rng.random())
     name = target_name(action, seated.seat, seated.cabin)
     target = None if name is None else seated.cabin.reach_targets[name]
     result = []
@@ -31,10 +29,10 @@ def intents(action: Action, seated: SeatContext, inboard: int, given: Reach | No
         mine, other = (action.inboard, action.outboard) if side == inboard else (action.outboard, action.inboard)
         place = mine.chosen(seated, other, side == inboard, float(rng.random()))
         a, b, c = (float(v) for v in np.clip(rng.standard_normal(3), -2.0, 2.0))
-        angle = clock + math.radians(5.0) * a
-        reach = place.reach(seated, target, given, (a, b, c))
-        result.append(Hand(place, (a, b, c), angle if side == 0 else -angle, reach))
-    return result[0], result[1]
+        result.append(Hand(place, (a, b, c), 0.0, place.reach(seated, target, given, (a, b, c))))
+    at_wheel = [hand.place.on_wheel for hand in result]
+    left, right = at.clocks(clock_key, alone=sum(at_wheel) == 1).tolist()
+    return result[0]._replace(clock=left), result[1]._replace(clock=right)
 
 
 def with_fingers(hands: Hands, seated: SeatContext) -> Hands:
@@ -57,8 +55,10 @@ def holding(person: Person, hands: Hands, named: Sequence[str] = (), *, rng: np.
     place = hands[side].place
     order = handed(place, named, rng=rng)
     kind, variant = next((d for d in order if can_hold(person, place, *d)), order[0])
+    held = hold(person, place, kind, variant, side)
     rest = [h._replace(place=THIGH) if s != side and s in able else h for s, h in enumerate(hands)]
-    return (rest[0], rest[1]), hold(person, place, kind, variant, side)
+    rest[side] = rest[side]._replace(thing=held.in_hand)
+    return (rest[0], rest[1]), held
 
 
 def carrying(hands: Hands, carried: Hold) -> Hands:
@@ -67,5 +67,6 @@ def carrying(hands: Hands, carried: Hold) -> Hands:
     if not serves(carried, mine.place):
         below_m = -float(carried.grasp.palm_from_thing[1, 3]) if isinstance(carried.place.held, Around) else None
         mine = mine._replace(place=CARRY, below_m=below_m)
+    mine = mine._replace(thing=carried.in_hand)
     other = other._replace(place=THIGH) if other.place.held is not None else other
     return (mine, other) if carried.side == 0 else (other, mine)

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Floats, Floats32, Matrix, axis_rotation, transform
+from cabinpose.core import Floats, Floats32, Matrix, apply, axis_rotation, cross, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS, Person
 from cabinpose.scene.cabin import Cabin, Seat, SteeringWheel
@@ -34,6 +34,10 @@ _HEAD_M, _MOUTH_BELOW_NOSE_M = 0.23, 0.045  # an adult's head from chin to crown
 _CARRIED_ALONG, _CARRIED_M = 0.55, 0.14  # of a hand that holds something: share of the thigh, and over its skin
 _OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
 _REACHED_SIGMA_M = 0.012
+# The axis of what is drunk from, above the level of the head: some 20 deg when it is full, more when it is not (assumed).
+_RAISED, _FROM_ASIDE, _LIPS_M = (math.radians(22.0), math.radians(9.0)), 0.15, 0.004
+_ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)  # of a hand that drinks from nothing
+_KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
 _BEHIND_RIM_M, _LEAST_ALONG = 0.01, 0.5  # fingertips that end before the wheel's rim; share of the thigh
 
 
@@ -41,12 +45,20 @@ class Reach(NamedTuple):
     """Where a hand goes that reaches, vehicle frame: (3,) m.
 
     side: the hand that goes there, None for the inboard one · palm: `vehicle_from_palm` (4, 4) sought there, None for one that
-    points.
+    points · touched: whether the hand touches what of the car is there.
     """
 
     point: Floats
     side: int | None = None
     palm: Matrix | None = None
+    touched: bool = False
+
+
+class InHand(NamedTuple):
+    """A thing in a hand: palm_from_thing (4, 4) of that hand, and how high it stands, m."""
+
+    palm_from_thing: Matrix
+    height_m: float
 
 
 class Hand(NamedTuple):
@@ -54,7 +66,8 @@ class Hand(NamedTuple):
     stands straight (rad from the top, + left).
 
     reach: where it goes, of places that reach · fingers: how they lie, (6,) as `Person.pose` takes them, NaN where they follow
-    the grip · below_m: how far what it carries upright reaches below the palm, None for what is carried flat.
+    the grip · below_m: how far what it carries upright reaches below the palm, None for what is carried flat · thing: what is in
+    it.
     """
 
     place: HandPlace
@@ -63,6 +76,7 @@ class Hand(NamedTuple):
     reach: Reach | None = None
     fingers: Floats = at.BY_GRIP
     below_m: float | None = None
+    thing: InHand | None = None
 
     @property
     def palm(self) -> Matrix | None:
@@ -120,6 +134,10 @@ class HandPlace:
         Whether the hand is closed around the wheel.
     passes_on
         Whether the hand leaves room for another one at what it holds.
+    touches
+        What the hand there, or what it holds, is brought to once the pose is solved: the car, the belt, or the own head.
+    grasps
+        Whether its fingers close around that.
     """
 
     name: ClassVar[str]
@@ -133,6 +151,8 @@ class HandPlace:
     watched: ClassVar[bool] = False
     on_wheel: ClassVar[bool] = False
     passes_on: ClassVar[bool] = False
+    touches: ClassVar[Literal["", "car", "belt", "head"]] = ""
+    grasps: ClassVar[bool] = False
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         """Whether a seat has this place."""
@@ -179,7 +199,7 @@ class _Wheel(HandPlace):
         wheel = trunk.seated.wheel
         assert wheel is not None  # see `exists`
         hold = at.rim_grip(trunk.seated.person, wheel.rim_section_m)
-        return at.on_rim(wheel, hand.clock + trunk.wheel_angle, hold, 0.5 + 0.1 * hand.noise[1])
+        return at.on_rim(wheel, at.regripped(hand.clock, trunk.wheel_angle), hold, 0.5 + 0.1 * hand.noise[1], side)
 
 
 class _Thigh(HandPlace):
@@ -212,7 +232,7 @@ class _Thigh(HandPlace):
 class _Armrest(HandPlace):
     """At rest on the door's armrest, palm down."""
 
-    name, shapes, spared = "armrest", at.RESTING, True
+    name, shapes, spared, touches = "armrest", at.RESTING, True, "car"
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         return self._point(seat, cabin) is not None
@@ -225,7 +245,7 @@ class _Armrest(HandPlace):
 
     def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
         point = self._point(seated.seat, seated.cabin)
-        return None if point is None else Reach(point)
+        return None if point is None else Reach(point, touched=True)
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         assert hand.reach is not None  # see `exists`
@@ -251,49 +271,57 @@ class _Either(HandPlace):
 
 
 class _Ear(HandPlace):
-    """A telephone at the own ear."""
+    """A telephone at the own ear: its upper end, which stands out of the hand, at the ear, the lower one towards the mouth."""
 
-    name, carried_by, grip, held = "ear", "head", 0.5, Flat(math.radians(15.0))
+    name, carried_by, grip, held, touches = "ear", "head", 0.5, Flat(math.radians(5.0), 0.045), "head"
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         head, s, skin = trunk.skeleton.bone("head"), 1.0 - 2.0 * side, _skin(trunk.seated.person, "head")
         half, height = float(np.abs(skin[:, 1]).max()), float(np.ptp(skin[:, 2]))
-        local = np.array([0.02, s * (half + _PHONE_M - at.PALM_M), 0.18 * height])
+        local = np.array([0.04, s * (half + _PHONE_M - at.PALM_M), -0.1 * height])
         point = rp.matmul(head[:3, :3], local) + head[:3, 3]
-        fingers = rp.matmul(head[:3, :3], np.array([-0.25, 0.0, 1.0]))
-        target = at.palm_frame(point, rp.matmul(head[:3, :3], np.array([0.15, -s, 0.0])), fingers)
+        fingers = rp.matmul(head[:3, :3], np.array([-0.4, -0.3 * s, 1.0]))
+        target = at.palm_frame(point, rp.matmul(head[:3, :3], np.array([-0.2, -s, -0.3])), fingers)
         return LimbTask.firm(target, (0.04, 0.04, 0.04), at.FACE_ARM)
 
 
 class _Mouth(HandPlace):
     """At the own mouth, thumb up."""
 
-    name, carried_by, grip = "mouth", "head", 0.5
+    name, carried_by, grip, touches = "mouth", "head", 0.5, "head"
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
-        return self._before(trunk, side, 0.07 + 0.01 * hand.noise[0], 0.03)
-
-    def _before(self, trunk: Trunk, side: int, forward: float, level: float) -> LimbTask:
-        """A palm `forward` m before the mouth and `level` m below it."""
-        head, s, person = trunk.skeleton.bone("head"), 1.0 - 2.0 * side, trunk.seated.person
-        skin = _skin(person, "head")
-        nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
-        size = float(np.ptp(skin[:, 2])) / _HEAD_M
-        mouth = np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
-        point = rp.matmul(head[:3, :3], mouth + (forward, s * 0.035, -level)) + head[:3, 3]
+        head, s = trunk.skeleton.bone("head"), 1.0 - 2.0 * side
+        point = head[:3, 3] + rp.matmul(
+            head[:3, :3], _mouth(trunk.seated.person) + (0.07 + 0.01 * hand.noise[0], s * 0.035, -0.03)
+        )
         inwards = rp.matmul(head[:3, :3], np.array((-0.35, -s, 0.0)))
         fingers = rp.matmul(head[:3, :3], np.array((1.0, -0.35 * s, 0.15)))
-        target = at.palm_frame(point, inwards, fingers)
-        return LimbTask.firm(target, (0.04, 0.02, 0.04), at.FACE_ARM)
+        return LimbTask.firm(at.palm_frame(point, inwards, fingers), (0.04, 0.02, 0.04), at.FACE_ARM)
 
 
-class _Drink(_Mouth):
-    """A bottle or a cup before the mouth."""
+class _Drink(HandPlace):
+    """A bottle or a cup at the mouth, its lower end before it and raised as far as it is empty."""
 
-    name, grip, held = "drink", 0.4, Around(0.42)
+    name, carried_by, grip, held, touches = "drink", "head", 0.4, Around(0.42), "head"
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
-        return self._before(trunk, side, 0.085 + 0.02 * hand.noise[0], 0.13 + 0.02 * hand.noise[2])
+        head, s = trunk.skeleton.bone("head"), 1.0 - 2.0 * side
+        raised = _RAISED[0] + _RAISED[1] * hand.noise[2]
+        aside = _FROM_ASIDE * s + 0.05 * hand.noise[1]
+        to_mouth = -np.array((rp.cos(raised), aside, rp.sin(raised)))  # in the head's frame
+        to_mouth = rp.matmul(head[:3, :3], to_mouth / rp.norm(to_mouth))
+        lips = head[:3, 3] + rp.matmul(head[:3, :3], _mouth(trunk.seated.person)) - _LIPS_M * to_mouth
+        thing = InHand(Around(0.42).turned(_ASSUMED_BOX), float(_ASSUMED_BOX[1, 2])) if hand.thing is None else hand.thing
+        top = apply(thing.palm_from_thing, np.array((0.0, 0.0, thing.height_m)))
+        # The thing's upright axis is y of the palm: to the thumb of the left hand, away from that of the right one.
+        y, inwards = s * to_mouth, rp.matmul(head[:3, :3], np.array((-0.2, -s, 0.35)))
+        target = np.eye(4)
+        z = inwards - rp.matmul(inwards, y) * y
+        target[:3, 1], target[:3, 2] = y, z / rp.norm(z)
+        target[:3, 0] = cross(target[:3, 1], target[:3, 2])
+        target[:3, 3] = lips - rp.matmul(target[:3, :3], top)
+        return LimbTask.firm(target, (0.06, 0.012, 0.06), at.FACE_ARM)
 
 
 class _Shin(HandPlace):
@@ -357,7 +385,7 @@ class _Carry(HandPlace):
 class _Belt(HandPlace):
     """At the shoulder belt, in front of the shoulder that it comes from."""
 
-    name, carried_by, grip, watched = "belt", "spine01", 0.6, True
+    name, carried_by, grip, watched, touches = "belt", "spine01", 0.6, True, "belt"
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         return seat.belt is not None
@@ -380,10 +408,10 @@ class _Belt(HandPlace):
 class _Reach(HandPlace):
     """At something in the car, or wherever else it is told to reach; in the lap where there is nowhere."""
 
-    name, shapes, reaches, watched = "reach", at.POINTING, True, True
+    name, shapes, reaches, watched, touches = "reach", at.POINTING, True, True, "car"
 
     def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
-        return given if target is None else Reach(target + _REACHED_SIGMA_M * np.array(noise))
+        return given if target is None else Reach(target + _REACHED_SIGMA_M * np.array(noise), touched=True)
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         if hand.reach is None:
@@ -392,7 +420,50 @@ class _Reach(HandPlace):
             return LimbTask(hand.reach.palm, at.STAYS, np.full(3, 0.3), at.REACH_ARM, at.STIFFNESS)
         shoulder = _shoulder(trunk, side)
         high = hand.reach.point[2] > shoulder[2]
-        return _pointing_at(hand.reach.point, shoulder, at.UP_ARM if high else at.REACH_ARM)
+        return self._to(trunk, hand, side, at.UP_ARM if high else at.REACH_ARM)
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        """The hand at where it reaches, coming from its shoulder."""
+        assert hand.reach is not None
+        tip = None
+        if not np.isnan(hand.fingers).any():
+            tip = at.fingertip(trunk.seated.person, hand.fingers) * (1.0, 1.0 - 2.0 * side, 1.0)
+        return _pointing_at(hand.reach.point, _shoulder(trunk, side), arm, tip)
+
+
+class _Knob(_Reach):
+    """Over a lever's knob, palm down, fingers around it."""
+
+    name, shapes, grasps = "knob", (), True
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        assert hand.reach is not None
+        s, ahead = 1.0 - 2.0 * side, trunk.seated.forward
+        fingers = ahead + 0.25 * s * np.array((ahead[1], -ahead[0], 0.0)) - 0.25 * _UP
+        return _holding(hand.reach.point, -_UP - 0.25 * ahead, fingers, _KNOB_IN_PALM_M, at.LEVER_ARM)
+
+
+class _Mirror(_Reach):
+    """Before a mirror, fingers over its upper edge, thumb under the lower one."""
+
+    name, shapes, grasps = "mirror", (), True
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        assert hand.reach is not None
+        s, ahead = 1.0 - 2.0 * side, trunk.seated.forward
+        left = np.array((-ahead[1], ahead[0], 0.0))
+        return _holding(hand.reach.point, ahead + 0.3 * _UP, _UP - 0.5 * s * left, _MIRROR_IN_PALM_M, at.ROOF_ARM)
+
+
+class _Visor(_Reach):
+    """Under a sun visor, the palm up, its fingers' ends at it."""
+
+    name, shapes = "visor", at.RESTING[1:2]
+
+    def _to(self, trunk: Trunk, hand: Hand, side: int, arm: Floats) -> LimbTask:
+        assert hand.reach is not None
+        ahead, tip = trunk.seated.forward, at.fingertip(trunk.seated.person, hand.fingers) * (1.0, 1.0 - 2.0 * side, 1.0)
+        return _holding(hand.reach.point, _UP - 0.2 * ahead, ahead + 0.5 * _UP, tip, at.ROOF_ARM)
 
 
 class _Give(_Reach):
@@ -407,6 +478,14 @@ class _Take(_Give):
     name, held = "take", Around(0.70)
 
 
+def _mouth(person: Person) -> Floats:
+    """(3,) m in the head's frame: before the lips' middle."""
+    skin = _skin(person, "head")
+    nose = skin[skin[:, 0].argmax()] - person.rest.heads[BONE_INDEX["head"]]
+    size = float(np.ptp(skin[:, 2])) / _HEAD_M
+    return np.array((nose[0] - 0.012 * size, 0.0, nose[2] - _MOUTH_BELOW_NOSE_M * size))
+
+
 def _skin(person: Person, segment: str) -> Floats:
     """(N, 3) m of a segment at rest."""
     return person.rest_skin[person.skin_segment == SEGMENTS.index(segment)].astype(np.float64)
@@ -416,16 +495,33 @@ def _shoulder(trunk: Trunk, side: int) -> Floats:
     return trunk.skeleton.bone("lr"[side] + "upperarm")[:3, 3]
 
 
-def _pointing_at(point: Floats, shoulder: Floats, prior: Floats) -> LimbTask:
-    """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes."""
+def _pointing_at(point: Floats, shoulder: Floats, prior: Floats, tip: Floats | None = None) -> LimbTask:
+    """A hand whose fingertips touch `point` (3,), coming from `shoulder` (3,), palm down or inwards as the arm likes.
+
+    tip: (3,) m in the palm, of what touches it; an adult's middle finger where it is not given.
+    """
     direction = point - shoulder
     direction = direction / rp.norm(direction)
-    target = at.palm_frame(point - at.HAND_M * direction, -_UP, direction)
-    return LimbTask.firm(target, (0.02, 0.04, 0.04), prior)
+    if tip is None:
+        target = at.palm_frame(point - at.HAND_M * direction, -_UP, direction)
+        return LimbTask.firm(target, (0.02, 0.04, 0.04), prior)
+    return _holding(point, -_UP, direction, tip, prior, (0.02, 0.04, 0.04))
+
+
+def _holding(
+    point: Floats, normal: Floats, fingers: Floats, in_palm: Floats, prior: Floats,
+    turning: tuple[float, float, float] = (0.04, 0.04, 0.03),
+) -> LimbTask:  # fmt: skip
+    """A palm towards `normal`, its x near `fingers`, in which `in_palm` (3,) m is at `point` (3,)."""
+    x = fingers / rp.norm(fingers)
+    target = at.palm_frame(point, normal - rp.matmul(normal, x) * x, x)
+    target[:3, 3] -= rp.matmul(target[:3, :3], in_palm)
+    return LimbTask.firm(target, turning, prior)
 
 
 WHEEL, THIGH, ARMREST, EITHER, SHIN, CARRY, BELT = _Wheel(), _Thigh(), _Armrest(), _Either(), _Shin(), _Carry(), _Belt()
 EAR, MOUTH, DRINK, CHEST, BOOK, GIVE, REACH, TAKE = _Ear(), _Mouth(), _Drink(), _Chest(), _Book(), _Give(), _Reach(), _Take()
-_ALL = (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE)
+KNOB, MIRROR, VISOR = _Knob(), _Mirror(), _Visor()
+_ALL = (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE, KNOB, MIRROR, VISOR)
 # Where a hand can be, by name.
 PLACES: Mapping[str, HandPlace] = MappingProxyType({place.name: place for place in _ALL})

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Floats, Matrix, SceneError
+from cabinpose.core import Floats, Matrix, SceneError, rotation_vector, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, LOWER, UPPER
 from cabinpose.scene.cabin import Cabin, Seat
@@ -27,13 +27,18 @@ from cabinpose.synth.posture.intents import carrying, holding, intents, with_fin
 from cabinpose.synth.posture.neighbours import LOW_TUNNEL_M, NOBODY, Neighbours, tunnel_m
 from cabinpose.synth.posture.places import Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
+from cabinpose.synth.posture.touching import Touch, meet
 from cabinpose.synth.profiles import Profile
 
-_WHEEL_SIGMA, _WHEEL_LIMIT = math.radians(8.0), math.radians(30.0)
+_UNHELD = 0.3  # of what a wheel is turned by, where no hand holds it
 _LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _KNEES_IN_M = 0.02  # of a child, against those of somebody on a wide cushion
+# Passengers' legs: feet drawn back raise the front of 40 % of thighs (Reed 2020, UMTRI-2020-2); the rest is assumed.
+_APART, _ONE_BACK, _TOGETHER = 0.20, 0.45, 0.15  # shares of knees apart, of one foot behind the other, of knees together
+_KNEES_APART_M, _KNEES_TOGETHER_M, _FOOT_BACK_M = 0.05, 0.03, 0.045
 _GRIP_SIGMA = 0.025
+_SLUMPED = 3.0  # of a loin's small spread: how people differ, from upright to slumped (assumed)
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _HELD_GRIP = 0.5  # stands for the fingers of a hand that holds something: each has a curl of its own
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
@@ -85,7 +90,8 @@ def _shares(actions: tuple[str, ...]) -> Floats:
 class Drawn:
     """The goals of one person, drawn once, and the start of the solver's search: the input of `settled`.
 
-    must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame · fingers, hold: as in `OccupantPose`.
+    must: (T,) m that a task may be missed by · h_point: (3,) the seat's, m, vehicle frame · fingers, hold: as in `OccupantPose` ·
+    touches: what hands are to touch.
     """
 
     sitter: Sitter
@@ -95,6 +101,7 @@ class Drawn:
     h_point: Floats
     fingers: Floats
     hold: Hold | None = None
+    touches: tuple[Touch, ...] = ()
 
 
 class Doing(NamedTuple):
@@ -172,15 +179,15 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     elif doing.in_hand:
         hands, held = holding(seated.person, hands, doing.things or action.things, rng=rng)
     hands = with_fingers(hands, seated)
-    turned = _WHEEL_SIGMA if any(hand.place.on_wheel for hand in hands) else 0.3 * _WHEEL_SIGMA
-    wheel_angle = _clip(float(rng.normal(0.0, turned)), -_WHEEL_LIMIT, _WHEEL_LIMIT)
+    turned = 1.0 if any(hand.place.on_wheel for hand in hands) else _UNHELD
+    wheel_angle = at.turned_wheel(turned * float(rng.standard_normal()), driving=action.steers)
     wheel_angle = wheel_angle if doing.wheel_angle is None else doing.wheel_angle
     root = seated.vehicle_from_root(drawn_angle(action.pelvis, rng=rng))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
     feet = foot_goals(seated, root, _foot_plans(seated, rng))
     q = seated.fit.q.copy()
-    _move_trunk(q, action, side_sign, rng)
+    root = rp.matmul(root, transform(rotation_vector((0.0, -_move_trunk(q, action, side_sign, rng), 0.0))))
     trunk = Trunk(seated, q, root, frames(q, seated.person.rest, root), wheel_angle)
     left, right = (_hand_goal(trunk, hands[side], side, comfort[side], held, rng) for side in (0, 1))
     fingers = np.stack([hand.fingers for hand in hands])
@@ -195,7 +202,20 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
         name = prescribed.profile.kind
     must = [hand.place.miss_m for hand in hands] + [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
     angle = None if seated.wheel is None else wheel_angle
-    return Drawn(who, name, angle, np.array(must), seat.h_point(seated.setting), fingers, held)
+    touches = tuple(t for side in (0, 1) if (t := _touch(seated, hands[side], side, held)) and who.goals.weight[side].any())
+    return Drawn(who, name, angle, np.array(must), seat.h_point(seated.setting), fingers, held, touches)
+
+
+def _touch(seated: SeatContext, hand: Hand, side: int, held: Hold | None) -> Touch | None:
+    """What a hand (0 left, 1 right) is to touch; None where nothing is."""
+    match hand.place.touches:
+        case "car" if hand.reach is not None and hand.reach.touched:
+            return Touch(side, hand.reach.point, grasps=hand.place.grasps)
+        case "belt" if seated.on is None:
+            return Touch(side, belt=seated)
+        case "head" if (held is not None and held.side == side) or hand.place.held is None:
+            return Touch(side)
+    return None
 
 
 def _hand_goal(trunk: Trunk, hand: Hand, side: int, comfort: Floats, held: Hold | None, rng: np.random.Generator) -> HandGoal:
@@ -242,7 +262,10 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
         missed["h_point"] = rp.norm(who.root[:3, 3] - d.h_point)
         late = np.flatnonzero((found.missed[:, 0] > d.must) & (who.goals.weight[:, :3] > 0.0).any(axis=1))
         refused, held_up_by = (TASKS[late[0]], found.into) if len(late) else ("", "")
-        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, d.fingers, d.hold))
+        fingers = d.fingers
+        for touch in () if refused else d.touches:
+            fingers = meet(who, touch, fingers, d.hold, placed)
+        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, fingers, d.hold))
     return result
 
 
@@ -304,15 +327,21 @@ def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     return random
 
 
-def _move_trunk(q: Floats, action: Action, side_sign: float, rng: np.random.Generator) -> None:
+def _move_trunk(q: Floats, action: Action, side_sign: float, rng: np.random.Generator) -> float:
+    """Bends the trunk, in place; how far the pelvis slumps (rad, + backwards): the loins bend by as much, the chest stays."""
+    slump = 0.0
     for name, spread in BREATHING.items():
         value = drawn_angle(spread, rng=rng)
+        if name == "lumbar.flexion":
+            value *= _SLUMPED
+            slump = value
         if name in action.trunk:
             mean, sigma = action.trunk[name]
             sign = 1.0 if name.endswith(".flexion") else side_sign
             value += sign * drawn_angle((mean, sigma), rng=rng)
         d = DOF_INDEX[name]
         q[d] = _clip(q[d] + value, LOWER[d], UPPER[d])
+    return slump
 
 
 def _foot_plans(seated: SeatContext, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
@@ -325,7 +354,7 @@ def _foot_plans(seated: SeatContext, rng: np.random.Generator) -> tuple[FootPlan
 
 
 def _varied_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
-    """Another pedal, a foot drawn back or put forward, knees apart."""
+    """Another pedal, feet one before the other, knees apart or together."""
     plans = list(default_plans(seat, cabin))
     chance, both = float(rng.random()), 0.02 * float(rng.standard_normal())
     apart = max(0.02 * float(rng.standard_normal()), -0.02)
@@ -338,10 +367,16 @@ def _varied_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[F
         elif chance > 0.85:
             plans[0] = FootPlan("clutch" if "clutch" in cabin.pedals and chance > 0.95 else None, -0.05)
         return plans[0], plans[1]
+    roomy = not seat.slot.startswith("rear")  # behind another seat legs have little choice
+    if roomy and chance < _APART:
+        apart += _KNEES_APART_M + 0.02 * abs(float(draws[0, 1]))
+    elif chance > 1.0 - _TOGETHER:
+        apart = -_KNEES_TOGETHER_M
+    back = 0 if draws[0, 0] > draws[1, 0] else 1
     for side in (0, 1):
         forward = both + 0.015 * float(draws[side, 0])
-        if chance < 0.15:  # one foot drawn back
-            forward -= 0.05 if side == 0 else 0.0
+        if roomy and _APART < chance < _APART + _ONE_BACK and side == back:  # farther than the other one
+            forward -= _FOOT_BACK_M * float(0.3 + min(abs(draws[0, 0] - draws[1, 0]), 2.0))
         plans[side] = FootPlan(
             None, forward, apart + 0.01 * float(draws[side, 1]), math.radians(7.0 + 4.0 * float(draws[side, 1]))
         )
