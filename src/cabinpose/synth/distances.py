@@ -28,6 +28,7 @@ _LOOKED_AT = 400  # vertices of a part of the body, evenly taken
 _NEAREST, _SPREAD = 16, 8  # of them
 _OF_FEET = ("dashboard",)  # feet lie on it; how far they are from the wheel says nothing of them
 _FAR_M = 3.0  # beyond every distance in a car
+_CELL_M = MappingProxyType({WHEEL_GROUP: 0.03, STATIC_GROUP: 0.06})  # of search grids: the dashboard's triangles are larger
 
 
 class _Hazard(NamedTuple):
@@ -41,7 +42,7 @@ class _Hazard(NamedTuple):
 
 
 def _hazard(name: str, group: str, surface: Surface) -> _Hazard:
-    mesh = triangle_mesh(surface.vertices, surface.faces, closed=False)
+    mesh = triangle_mesh(surface.vertices, surface.faces, closed=False, cell_m=_CELL_M[group])
     return _Hazard(name, group, mesh, mesh.low, mesh.high)
 
 
