@@ -39,7 +39,8 @@ class TriangleMesh:
     """Triangles prepared for exact distance queries.
 
     corners: (F, 3, 3) float64 m · normals: (F, 7, 3) pseudo-normals of face, vertices a b c, edges ab bc ca, of open ones
-    those of faces alone · closed: whether inside has a meaning · faces: (F, 3) int32 into vertices (V, 3), welded · grid: where to search.
+    those of faces alone · closed: whether inside has a meaning · faces: (F, 3) int32 into vertices (V, 3), welded · grid: where
+    to search.
     """
 
     vertices: Floats
