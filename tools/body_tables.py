@@ -337,8 +337,8 @@ def hips(scale: float) -> Iterator[list[str]]:
 
 # The segment in whose frame a joint of Plug-in Gait is told, by our bones.
 SEGMENT_OF = {
-    "head": "head", "chest": "spine01", "hip": "pelvis", "shoulder": "spine01", "elbow": "upperarm", "wrist": "forearm",
-    "hand": "hand", "pelvis": "pelvis", "knee": "thigh", "ankle": "shank", "foot": "foot",
+    "head": "head", "chest": "spine01", "hip": "pelvis", "shoulder": "spine01", "elbow": "{}upperarm", "wrist": "{}forearm",
+    "hand": "{}hand", "pelvis": "pelvis", "knee": "{}thigh", "ankle": "{}shank", "foot": "{}foot",
 }  # fmt: skip
 
 
@@ -356,7 +356,7 @@ def plug_in_gait(scale: float) -> Iterator[list[str]]:
             for name, place in joint_centres(wearer.markers(body), wearer.size).items():
                 sided = name not in SEGMENT_OF
                 joint, side = (name[1:], name[0]) if sided else (name, "")
-                bone = body.bones[BONE_INDEX[side + SEGMENT_OF[joint]]]
+                bone = body.bones[BONE_INDEX[SEGMENT_OF[joint].format(side)]]
                 mirror = (1.0, -1.0 if side == "r" else 1.0, 1.0)
                 off.setdefault(joint, []).append(1e3 * (place - ours[name]) @ bone[:3, :3] * mirror)
     for joint, segment in SEGMENT_OF.items():
@@ -365,7 +365,7 @@ def plug_in_gait(scale: float) -> Iterator[list[str]]:
         columns = [f"{mean:.0f} ± {spread:.0f}" for mean, spread in zip(each.mean(axis=0), each.std(axis=0), strict=True)]
         if joint in ("head", "chest", "hip"):
             columns[1] = "0"  # of the middle of the body
-        yield [joint, segment, *columns, f"{far.mean():.0f} ± {far.std():.0f}"]
+        yield [joint, segment.format(""), *columns, f"{far.mean():.0f} ± {far.std():.0f}"]
 
 
 def drivers(scale: float) -> Iterator[list[str]]:

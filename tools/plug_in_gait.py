@@ -187,6 +187,8 @@ def _touched(name: str) -> tuple[str, ...]:
     """The segments of whose skin a marker or a width takes a point; widths are taken on the left."""
     if name.endswith("HD"):
         return ("head",)
+    if name.endswith("ASI"):
+        return (*_TRUNK, "lthigh", "rthigh")
     if name in _ON_TRUNK or name[1:] in _ON_TRUNK:
         return _TRUNK
     side = "r" if name[0] == "R" else "l"
@@ -233,9 +235,10 @@ def places(at: Mapping[str, Array], stature_m: float, *, female: bool) -> dict[s
     for side, out in (("L", left), ("R", -left)):
         joint = {name[1:]: place for name, place in at.items() if name[0] == side.lower()}
         wrist, beside = joint["wrist"], 0.015 * size * ahead
+        inside = 0.04 * size * (ahead + out)  # where the spine of the pelvis is not below the skin, as in slender people
         found |= {
             f"{side}FHD": (temple, ahead + 0.8 * out), f"{side}BHD": (temple, -ahead + 0.6 * out),
-            f"{side}ASI": (spine + width / 2 * out, ahead + out), f"{side}PSI": (spine + 0.02 * size * out, -forward),
+            f"{side}ASI": (spine + width / 2 * out - inside, ahead + out), f"{side}PSI": (spine + 0.02 * size * out, -forward),
             f"{side}SHO": (joint["shoulder"] + _AC_M * size * out, up), f"{side}ELB": (joint["elbow"], out),
             f"{side}WRA": (wrist + beside, out), f"{side}WRB": (wrist - beside, out),
             f"{side}FIN": (joint["hand"] + 0.02 * size * ahead, out),
