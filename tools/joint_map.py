@@ -3,8 +3,8 @@
 Of the rig COUNT (1500) frames are generated with both, 200 random people in cars; of Plug-in Gait COUNT (200) adults of ANSUR
 II sit with its markers on, in five postures each (`plug_in_gait.seated`). For each joint the weights of a few joints are found,
 which sum to 1, by least squares with 8 mm of noise on each, as detectors have: so no weight makes much of a small distance.
-Joints of the right side are the mirror image. Printed behind each joint: mean distance (mm) without and with the table, on other people
-than it was fitted on.
+Joints of the right side are the mirror image. Printed behind each joint: mean distance (mm) without and with the table, on other
+people than it was fitted on.
 """
 
 from __future__ import annotations
