@@ -362,10 +362,11 @@ def plug_in_gait(scale: float) -> Iterator[list[str]]:
     for joint, segment in SEGMENT_OF.items():
         each = np.array(off[joint])
         far = np.linalg.norm(each, axis=1)
-        columns = [f"{mean:.0f} ± {spread:.0f}" for mean, spread in zip(each.mean(axis=0), each.std(axis=0), strict=True)]
+        means = each.mean(axis=0).round() + 0.0
+        columns = [f"{mean:.0f} ± {spread:.0f}" for mean, spread in zip(means, each.std(axis=0), strict=True)]
         if joint in ("head", "chest", "hip"):
             columns[1] = "0"  # of the middle of the body
-        yield [joint, segment.format(""), *columns, f"{far.mean():.0f} ± {far.std():.0f}"]
+        yield [joint, segment.format(""), *columns, f"{far.mean():.1f} ± {far.std():.1f}"]
 
 
 def drivers(scale: float) -> Iterator[list[str]]:
