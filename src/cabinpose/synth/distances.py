@@ -106,7 +106,7 @@ def _distance(points: Floats, middle: Floats, hazard: _Hazard) -> float:
     """The least distance (m) of points (N, 3) about a middle (3,), in the frame of a part of the car, from it."""
     x, y, z = (points - np.minimum(np.maximum(middle, hazard.low), hazard.high)).T
     squared = x * x + y * y + z * z
-    looked_at = squared <= np.partition(squared, _NEAREST - 1)[_NEAREST - 1]
+    looked_at = squared <= np.sort(squared)[_NEAREST - 1]
     looked_at[:: max(1, len(points) // _SPREAD)] = True
     chosen = points[looked_at]
     # No point is nearer to the triangles than to their box: only few of the points have to be held against them.
