@@ -1,5 +1,5 @@
-"""The pictures of docs/gallery.md, and that of labels in docs/dataset.md: generated frames, chosen by configuration and seed alone
-and not by hand.
+"""The pictures of docs/gallery.md, and that of labels in docs/dataset.md: generated frames, chosen by configuration and seed
+alone and not by hand.
 
     python tools/make_gallery.py --out docs/images/gallery
 
