@@ -15,6 +15,7 @@ Tables, each of Markdown, with what is beyond its limit in bold:
  joints     lengths between joints of 200 adults a sex, as shares of stature, against what is published
  child joints   the same of children
  hips       distance of the femur heads by stature
+ plug-in gait   where Plug-in Gait has joints, from ours, of 100 adults a sex who sit with its markers on
  drivers    which share of the poses drawn for drivers of `nhanes` holds in a car, by body mass index, and who finds none
 
 --scale: a share of the draws and bodies, to try it quickly.
@@ -31,12 +32,14 @@ from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
+from plug_in_gait import Wearer, joint_centres, seated
 from scipy.spatial import ConvexHull
 from trimesh import Trimesh
 from trimesh.intersections import mesh_plane
 
 from cabinpose.core import JOINTS
 from cabinpose.scene.body import (
+    BONE_INDEX,
     DIMENSIONS,
     DOFS,
     POPULATIONS,
@@ -332,6 +335,40 @@ def hips(scale: float) -> Iterator[list[str]]:
             yield [f"{low:.1f} to {low + 0.1:.1f}", str(len(chosen)), f"{chosen.mean():.0f}", f"{chosen.std():.1f}"]
 
 
+# The segment in whose frame a joint of Plug-in Gait is told, by our bones.
+SEGMENT_OF = {
+    "head": "head", "chest": "spine01", "hip": "pelvis", "shoulder": "spine01", "elbow": "{}upperarm", "wrist": "{}forearm",
+    "hand": "{}hand", "pelvis": "pelvis", "knee": "{}thigh", "ankle": "{}shank", "foot": "{}foot",
+}  # fmt: skip
+
+
+def plug_in_gait(scale: float) -> Iterator[list[str]]:
+    """Means and spreads of the offsets of Plug-in Gait's joint centres, both sides as the left one."""
+    yield ["joint", "in the frame of", "forward, mm", "outward, mm", "up, mm", "distance, mm"]
+    model, population, off = BodyModel.load(), load_population("ansur"), dict[str, list[Array]]()
+    for sex in ("male", "female"):
+        generator = rng()
+        for _ in range(int(100 * scale) or 1):
+            size = population.draw(rng=generator, sex=sex)
+            wearer = Wearer(person := model.person(Phenotype.of_size(size, rng=generator)))
+            body = seated(person)
+            ours = dict(zip(JOINTS, body.joints, strict=True))
+            for name, place in joint_centres(wearer.markers(body), wearer.size).items():
+                sided = name not in SEGMENT_OF
+                joint, side = (name[1:], name[0]) if sided else (name, "")
+                bone = body.bones[BONE_INDEX[SEGMENT_OF[joint].format(side)]]
+                mirror = (1.0, -1.0 if side == "r" else 1.0, 1.0)
+                off.setdefault(joint, []).append(1e3 * (place - ours[name]) @ bone[:3, :3] * mirror)
+    for joint, segment in SEGMENT_OF.items():
+        each = np.array(off[joint])
+        far = np.linalg.norm(each, axis=1)
+        means = each.mean(axis=0).round() + 0.0
+        columns = [f"{mean:.0f} ± {spread:.0f}" for mean, spread in zip(means, each.std(axis=0), strict=True)]
+        if joint in ("head", "chest", "hip"):
+            columns[1] = "0"  # of the middle of the body
+        yield [joint, segment.format(""), *columns, f"{far.mean():.1f} ± {far.std():.1f}"]
+
+
 def drivers(scale: float) -> Iterator[list[str]]:
     """How well drivers of all sizes find a pose."""
     yield ["body mass index", "drivers", "without a pose", "poses that hold", "seat ahead of its design position, mm"]
@@ -403,6 +440,7 @@ TABLES: dict[str, Callable[[float], Iterator[list[str]]]] = {
     "joints": joints,
     "child joints": child_joints,
     "hips": hips,
+    "plug-in gait": plug_in_gait,
     "drivers": drivers,
     "faces": faces,
 }

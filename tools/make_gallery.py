@@ -1,4 +1,5 @@
-"""The pictures of docs/gallery.md: generated frames, chosen by configuration and seed alone and not by hand.
+"""The pictures of docs/gallery.md, and that of labels in docs/dataset.md: generated frames, chosen by configuration and seed
+alone and not by hand.
 
     python tools/make_gallery.py --out docs/images/gallery
 
@@ -10,6 +11,7 @@ something else.
 from __future__ import annotations
 
 import argparse
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,11 +21,15 @@ from PIL import Image as PilImage
 
 import cabinpose
 from cabinpose.app.view.draw import amplitude_image, depth_image, draw_skeleton, resized
+from cabinpose.core import apply, camera_from, invert
 from cabinpose.scene.cabin import PRESETS
 from cabinpose.scene.labels import LABELS
-from cabinpose.store import Image, text
+from cabinpose.store import AXES, PERSON_COLOUR, Colour, Image, Strokes, text
 
 WIDTH, HEIGHT, GAP, CAPTION = 264, 216, 6, 20
+ENLARGED, WORDS = 3, 380  # of the picture of labels: how much larger a frame is, and the width of what is written beside it, px
+AXIS_M, EYES_M, GAZE_M, NEAR_M, PIECES = 0.14, 0.09, 0.6, 0.15, 17
+AXIS_COLOURS = ((220, 40, 40), (40, 170, 60), (60, 110, 255))  # x to the front of the face, y left, z up
 SENSOR = "camera.sensor=pico_monstar_105/4"
 LEFT = "scene.right_hand_drive=0"
 FRONT_ROW, DRIVER = "camera.views={front_row: 1}", "camera.views={driver: 1}"
@@ -221,6 +227,72 @@ def sequences() -> Image:
     return grid(rows)
 
 
+def labels_of_people() -> Image:
+    """What a dataset says of the people in a frame: boxes, head pose, gaze, distances and words."""
+    seats = "scene.occupants={front_passenger: {action: read}, rear_left: {}}"
+    scene = ("scene.cars=[suv]", LEFT, PAIR, FRONT_ROW, SENSOR, "scene.in_hand=1", "output.gaze=true", seats)
+    frame = frame_of(Cell("", scene, 11))
+    small = plain_panel(frame)
+    height, width = (ENLARGED * size for size in small.shape[:2])
+    image = np.array(PilImage.fromarray(small).resize((width, height), PilImage.Resampling.BICUBIC))
+    camera = camera_from(frame["camera_k"], frame["camera_dist"], small.shape[1], small.shape[0])
+    camera_from_vehicle = invert(frame["vehicle_from_camera"])
+    sheet = np.full((height, width + WORDS, 3), 255, np.uint8)
+    top = 0
+    with Strokes(image) as strokes:
+
+        def line(start: np.ndarray, end: np.ndarray, colour: Colour, thick: float) -> None:
+            """Of what lies before the camera, in pieces: a lens bends it."""
+            points = apply(camera_from_vehicle, np.linspace(start, end, PIECES))
+            with np.errstate(all="ignore"):
+                places = ENLARGED * (camera.project(points) + 0.5) - 0.5
+            shown = (points[:, 2] > NEAR_M) & np.isfinite(places).all(axis=1)
+            for k in np.flatnonzero(shown[:-1] & shown[1:]):
+                strokes.line(places[k], places[k + 1], colour, thick)
+
+        for row in np.flatnonzero(np.array(frame["subject"]) != ""):
+            colour = PERSON_COLOUR[row % len(PERSON_COLOUR)]
+            corners = np.array(list(itertools.product(*frame["box_3d"][row].T.tolist())))
+            for start, end in itertools.combinations(corners, 2):
+                if np.count_nonzero(start - end) == 1:
+                    line(start, end, colour, 1.0)
+            left, upper, right, lower = ENLARGED * (frame["box_2d"][row] + (-0.5, -0.5, 0.5, 0.5)) + (ENLARGED - 1) / 2
+            corners = np.array(((left, upper), (right, upper), (right, lower), (left, lower)))
+            for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                strokes.line(start, end, colour, 3.0)
+            head = frame["vehicle_from_head"][row]
+            for axis, axis_colour in enumerate(AXIS_COLOURS):
+                line(head[:3, 3], head[:3, 3] + AXIS_M * head[:3, axis], axis_colour, 3.0)
+            if np.isfinite(gaze := frame["gaze"][row]).all():
+                eyes = head[:3, 3] + EYES_M * head[:3, 0]
+                line(eyes, eyes + GAZE_M * gaze, (255, 255, 255), 2.0)
+            top += 26
+            text(sheet, frame["subject"][row], (width + 14, top), colour, 17, 700)
+            for words in told_of(frame, row):
+                top += 19
+                text(sheet, words, (width + 14, top), size=13)
+            top += 12
+    sheet[:, :width] = image
+    return sheet
+
+
+def told_of(frame: dict[str, Any], row: int) -> list[str]:
+    """What stands in words and numbers of somebody, in lines."""
+    label = {name: frame[name][row] for name in ("sex", "age", "stature", "mass", "occupancy", "stance", "alertness", "belt")}
+    lines = [
+        f"{label['occupancy']}, {label['sex'] or 'sex not known'}, {label['age']:.0f} years",
+        f"{label['stature']:.2f} m, {label['mass']:.0f} kg",
+        f"{label['stance']}, {label['alertness']}; belt {label['belt']}",
+        f"hands: {', '.join(frame['in_hand'][row])}",
+        f"looks at: {frame['gaze_target'][row] or 'not known'}",
+    ]
+    for part, off in zip(AXES["body_part"], frame["distance"][row], strict=True):
+        known = [f"{name} {value:.2f} m" for name, value in zip(AXES["hazard"], off, strict=True) if np.isfinite(value)]
+        if known and "foot" not in part:
+            lines.append(f"{part} to {', '.join(known)}")
+    return lines
+
+
 def main() -> None:
     """Make all pictures."""
     parser = argparse.ArgumentParser(description="The pictures of docs/gallery.md.")
@@ -237,6 +309,7 @@ def main() -> None:
         "sensors": grid(pair_rows(sensors())),
         "room": room(),
         "sequences": sequences(),
+        "labels-of-people": labels_of_people(),
     }
     for name, picture in pictures.items():
         path = arguments.out / f"{name}.webp"

@@ -26,6 +26,15 @@ def test_signed_distance_equals_trimesh(name: str) -> None:
     np.testing.assert_allclose(ours, -trimesh.proximity.signed_distance(mesh, points), atol=2e-6)
 
 
+@pytest.mark.parametrize("cell_m", [0.01, 0.08, 2.0])
+def test_cells_of_any_width_find_the_same(cell_m: float) -> None:
+    mesh = _meshes()["torus"]
+    points = np.random.default_rng(2).uniform(-0.6, 0.6, (200, 3))
+    ours = triangle_mesh(mesh.vertices, mesh.faces, closed=False, cell_m=cell_m).signed_distance(points, 3.0)
+    _, expected, _ = trimesh.proximity.closest_point(mesh, points)
+    np.testing.assert_allclose(ours, expected, atol=2e-6)
+
+
 def test_faces_with_their_own_vertices_are_welded() -> None:
     mesh = trimesh.creation.box((0.4, 0.3, 0.2))
     apart = triangle_mesh(mesh.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3), closed=True)

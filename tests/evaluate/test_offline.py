@@ -12,7 +12,7 @@ from cabinpose.core import told_as
 from cabinpose.core.errors import ConfigError, DatasetError, PredictionsError
 from cabinpose.core.ports import IMAGES, FrameBatch, PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
-from cabinpose.core.skeleton import ANATOMY, CABINPOSE, ITOP, JOINTS, RIG
+from cabinpose.core.skeleton import ANATOMY, CABINPOSE, ITOP, JOINTS, PLUG_IN_GAIT, RIG
 from cabinpose.evaluate import offline
 from cabinpose.evaluate.offline import (
     check_predictions,
@@ -200,6 +200,22 @@ def test_joints_of_versions_before_are_told_as_the_models(dataset: xr.Dataset, p
     assert report.value("median error", "3d").value == pytest.approx(0.0, abs=1e-4)
     silent = evaluate(before, replace(exact, joint_definition=""), OPTIONS)
     assert silent.value("median error", "3d").value > 0.001
+
+
+def test_joints_of_plug_in_gait_are_told_as_the_models(dataset: xr.Dataset, predictions: Predictions) -> None:
+    """A dataset that says so is told as ours for a model of ours, ours as it for predictions that say so; two are refused."""
+    gait = dataset.assign_attrs(generator="cabinpose.align", joint_definition="plug_in_gait")
+    anatomy = dataset.assign_attrs(generator="cabinpose.synth", joint_definition=ANATOMY)
+    answers = {name: getattr(predictions, name) for name in ("joints_2d", "score", "presence", "frame", "persons", "joints")}
+    for truth, of, to, says in ((gait, PLUG_IN_GAIT, CABINPOSE, ANATOMY), (anatomy, CABINPOSE, PLUG_IN_GAIT, "plug_in_gait")):
+        told = told_as(dataset["joints_3d"].values, JOINTS, of, to)[:, :, CABINPOSE.indices(predictions.joints)]
+        exact = Predictions(joints_3d=told.astype(np.float32), model="exact", joint_definition=says, **answers)
+        report = evaluate(truth, exact, OPTIONS)
+        assert report.value("median error", "3d").value == pytest.approx(0.0, abs=1e-4)
+        assert any(of.definition in note and to.definition in note and "they were told as" in note for note in report.notes)
+        assert evaluate(truth, replace(exact, joint_definition=""), OPTIONS).value("MPJPE", "3d").value > 0.1
+    with pytest.raises(PredictionsError, match="of different definitions: anatomy, plug_in_gait"):
+        common_skeleton(anatomy, [exact, replace(exact, joint_definition=ANATOMY)])
 
 
 def test_frames_left_out_count_as_missed(dataset: xr.Dataset, predictions: Predictions) -> None:

@@ -25,6 +25,7 @@ import subprocess
 import sys
 import time
 import traceback
+import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -56,6 +57,7 @@ class Command:
     whole: bool = True  # a folder that is there as a whole or not at all; else each file of it is
     grows: bool = False  # a recording, which is in its file as it comes; `recover` makes a cut one whole
     varies: tuple[str, ...] = ()  # ends of names of files whose bytes differ between runs, as of times in them
+    before: str = ""  # of the inputs, what stands in the output's place and is written anew there, or stays as it is
 
 
 _TRAIN = "train {inputs}/dataset --splits {inputs}/splits.yaml --out {out}/t"
@@ -67,6 +69,7 @@ COMMANDS: Mapping[str, Command] = {
     "car-init": Command("car init {inputs}/suv.glb --out {out}/suv.yaml", "suv.yaml"),
     "car-check": Command("car check {inputs}/seat.yaml --out {out}/c", "c", whole=False),
     "train-style": Command("train-style {inputs}/camera.npz {inputs}/dataset --steps 1 --out {out}/m.onnx", "m.onnx"),
+    "upgrade": Command("upgrade {out}/d", "d", None, before="v1"),
     "view": Command("view {inputs}/dataset --rows 2 --frames 2 --out {out}/v", "v", whole=False),
     "view-recording": Command("view {inputs}/take.mcap --rows 2 --frames 2 --out {out}/v", "v", whole=False),
     **{
@@ -145,6 +148,8 @@ def make_inputs(folder: Path, session: bool) -> None:
     sphere_people.write(folder / "dataset", sphere_people.manifest(frames=6, frames_per_part=3))
     sphere_people.write(folder / "alone", sphere_people.manifest(frames=3, frames_per_part=3, persons=("driver",)))
     sphere_people.write(folder / "other", sphere_people.manifest(frames=300, frames_per_part=300, seed=8))
+    with zipfile.ZipFile(HERE.parent / "store" / "version1" / "dataset.zip") as packed:
+        packed.extractall(folder / "v1")
     coco_file(folder / "coco.json")
     itop_folder(folder / "itop")
     recording(folder / "take.mcap")
@@ -276,6 +281,7 @@ class Trial:
     def __init__(self, command: Command, inputs: Path, work: Path) -> None:
         self.command, self.inputs, self.out = command, inputs, work / "out"
         self.words = command.words.format(inputs=inputs, out=self.out)
+        self.before = tree(inputs / command.before) if command.before else {}
         self.place = self.out / command.out
         self._fresh()
         done = run(self.words, self.out)
@@ -292,6 +298,8 @@ class Trial:
             shutil.copytree(self.first, self.out)
         else:
             self.out.mkdir(parents=True)
+            if self.command.before:
+                shutil.copytree(self.inputs / self.command.before, self.place)
 
     def _differs(self, name: str, content: bytes) -> bool:
         """Whether a file is neither as without a fault nor, where its bytes vary, whole."""
@@ -317,7 +325,9 @@ class Trial:
         if fault != KILL and done.code and (hidden := left(self.out)):
             yield f"left {hidden[0]}"
         found = tree(self.place)
-        if old and not found and (fault != KILL or left_before(self.place) is None):
+        if self.before and found == self.before and done.code:
+            found = self.sound  # as good: nothing was changed
+        if (old or self.before) and not found and (fault != KILL or left_before(self.place) is None):
             yield "lost"
         if not self.command.grows and any(self._differs(name, content) for name, content in found.items()):
             yield "half a file"
@@ -331,6 +341,8 @@ class Trial:
     def _again(self, there: bool) -> Iterator[str]:
         """What is not as promised of the same command after a kill: it ends, with the same outcome, and leaves nothing."""
         there = there or self.place.exists()
+        if self.before and tree(self.place) != self.sound:
+            there = False  # not done yet
         if there and self.command.again is None:
             return
         done = run(f"{self.words} {self.command.again if there else ''}", self.out)

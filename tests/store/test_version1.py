@@ -14,7 +14,7 @@ import zarr
 
 from cabinpose.app.label.labelling import Labelling, open_labels
 from cabinpose.core import CABINPOSE, OTHER_SKELETONS, DatasetError
-from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store import open_dataset, part_facts, read_manifest
 from cabinpose.store.part import PartWriter
 from cabinpose.store.upgrade import missing_variables, upgrade_dataset
 from cabinpose.store.variables import SCHEMA_VERSION, VARIABLES, joints_variable
@@ -133,6 +133,18 @@ def test_an_upgrade_that_ends_early_leaves_it_as_it_was(old: Path, monkeypatch: 
         upgrade_dataset(old)
     assert files_of(old) == held
     assert [path for path in old.parent.iterdir() if path.name.startswith(".")] == []
+
+
+def test_each_part_is_checked_once(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked, check = [], part_facts.check_part
+
+    def counted(path: Path, *facts: Any) -> part_facts.PartFacts:
+        checked.append(path)
+        return check(path, *facts)
+
+    monkeypatch.setattr(part_facts, "check_part", counted)
+    upgrade_dataset(old)
+    assert [path.name for path in checked] == sorted(path.name for path in old.glob("part-*.zarr"))
 
 
 def test_joints_are_those_of_the_standard(old: Path) -> None:

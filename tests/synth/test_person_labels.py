@@ -97,6 +97,39 @@ def test_boxes_hold_the_pixels_and_the_skin(made: tuple[Mapping[str, Any], Scene
             np.testing.assert_allclose(frame["box_2d"][row], [u.min(), v.min(), u.max(), v.max()])
 
 
+def test_distances_are_those_of_each_point_from_each_triangle(made: tuple[Mapping[str, Any], Scene]) -> None:
+    """Of the points that the page names: the 16 that are nearest to the part's box and 8 more, from every triangle of it."""
+    frame, scene = made
+    cabin, segments = scene.cabin, vertex_segments()
+    parts = {part.name: part.surface for part in cabin.parts}
+    board = parts["dashboard"]
+    before_seat = np.abs(board.vertices[:, 1] - cabin.seats["front_passenger"].design_h_point[1]) <= 0.2
+    at_wheel = cabin.group_transforms(scene.settings, wheel_angle=scene.wheel_angle)[WHEEL_GROUP]
+    rim = merge([part.surface for part in cabin.parts if part.group == WHEEL_GROUP])
+    hazards = {
+        "wheel": (at_wheel, rim, rim.faces), "dashboard": (np.eye(4), board, board.faces),
+        "airbag": (at_wheel, parts["airbag cover"], parts["airbag cover"].faces),
+    }  # fmt: skip
+    before = {"airbag": (np.eye(4), board, board.faces[before_seat[board.faces].all(axis=1)])}
+    of_part = {"head": "head", "chest": "thorax", "left_foot": "lfoot", "right_foot": "rfoot"}
+    for who in (each for each in scene.people if each.slot in ("driver", "front_passenger")):
+        told = frame["distance"][OCCUPANT_SLOTS.index(who.slot)]
+        expected = np.full_like(told, np.nan)
+        for name, (at, surface, faces) in (hazards | (before if who.slot == "front_passenger" else {})).items():
+            for row, part in enumerate(AXES["body_part"]):
+                if "foot" in part and name != "dashboard":
+                    continue
+                skin = who.posed.skin[segments == SEGMENTS.index(of_part[part])].astype(float)
+                skin = (skin[:: max(1, len(skin) // 400)] - at[:3, 3]) @ at[:3, :3]
+                to_box = skin - np.clip(skin.mean(axis=0), surface.vertices.min(axis=0), surface.vertices.max(axis=0))
+                chosen = np.union1d(np.argsort(np.linalg.norm(to_box, axis=1))[:16], np.arange(0, len(skin), len(skin) // 8))
+                points, triangles = skin[chosen], surface.vertices[faces].astype(float)
+                pairs = np.repeat(triangles, len(points), axis=0), np.tile(points, (len(triangles), 1))
+                off = trimesh.triangles.closest_point(*pairs) - pairs[1]
+                expected[row, AXES["hazard"].index(name)] = np.linalg.norm(off, axis=1).min()
+        np.testing.assert_allclose(told, expected, atol=2e-5)  # of corners that are one within 0.01 mm
+
+
 def test_distances_are_those_of_all_the_skin(made: tuple[Mapping[str, Any], Scene]) -> None:
     """From points 2 mm apart all over the wheel, by a tree of neighbours: at most 25 mm less than what a few points say."""
     frame, scene = made

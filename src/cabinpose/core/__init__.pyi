@@ -87,12 +87,14 @@ from .segmentation import whole_person as whole_person
 from .skeleton import ANATOMY as ANATOMY
 from .skeleton import CABINPOSE as CABINPOSE
 from .skeleton import ITOP as ITOP
+from .skeleton import JOINT_DEFINITIONS as JOINT_DEFINITIONS
 from .skeleton import JOINTS as JOINTS
 from .skeleton import LIMBS_OVER_STATURE as LIMBS_OVER_STATURE
 from .skeleton import MVN_JOINTS as MVN_JOINTS
 from .skeleton import MVN_SEGMENTS as MVN_SEGMENTS
 from .skeleton import NTU_JOINTS as NTU_JOINTS
 from .skeleton import OTHER_SKELETONS as OTHER_SKELETONS
+from .skeleton import PLUG_IN_GAIT as PLUG_IN_GAIT
 from .skeleton import RIG as RIG
 from .skeleton import SKELETONS as SKELETONS
 from .skeleton import UNKNOWN_SET as UNKNOWN_SET

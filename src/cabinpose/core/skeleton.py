@@ -257,6 +257,17 @@ RIG = replace(
     maps={},
 )  # fmt: skip
 
+# Ours as Plug-in Gait makes them of markers (tools/plug_in_gait.py measures how far off they are).
+PLUG_IN_GAIT = replace(
+    CABINPOSE, name="plug_in_gait", title="Plug-in Gait",
+    definition="Plug-in Gait's: lpelvis and rpelvis by Davis 1991, shoulders, elbows, hands, knees and ankles by the chord"
+    " function, hip midway between the hips, head = the middle of the front head markers, chest = the thorax' origin at the"
+    " suprasternal notch, lfoot and rfoot = the toe markers, no neck",
+    maps={},
+)  # fmt: skip
+# By what `joint_definition` of files says: whose joints of ours they hold.
+JOINT_DEFINITIONS: MappingProxyType[str, Skeleton] = MappingProxyType({ANATOMY: CABINPOSE, PLUG_IN_GAIT.name: PLUG_IN_GAIT})
+
 # The sets by name; the first is that of the dataset standard's own joints, the others' are variables of their own.
 SKELETONS: MappingProxyType[str, Skeleton] = MappingProxyType({each.name: each for each in (CABINPOSE, ITOP, RIG)})
 OTHER_SKELETONS = tuple(each for each in SKELETONS.values() if each != CABINPOSE)  # but ours

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
-from cabinpose.core import CABINPOSE, RIG, SKELETONS, DatasetError, Visibility, camera_from, told_as
+from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility, camera_from, has_joint_map, told_as
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.inputs import TICK_M, InputView, Kept, channels_first
 from cabinpose.store import dataset_skeleton, frame_ranges, joint_dimension, joints_variable, merged_ranges
@@ -70,9 +70,8 @@ class StoredFrames(Dataset[Kept]):
         self.trained_on = {str(i): frame_ranges(dataset["frame"].values) for i in [dataset.attrs.get("frames_id")] if i}
         self._dataset = dataset
         self._rows = slot_rows(dataset, spec)
-        self._of_rig = (
-            dataset_skeleton(dataset, spec.skeleton).definition == RIG.definition != SKELETONS[spec.skeleton].definition
-        )
+        placed, meant = dataset_skeleton(dataset, spec.skeleton), SKELETONS[spec.skeleton]
+        self._placed = placed if placed.definition != meant.definition and has_joint_map(placed, meant) else None
         if keep is None:
             keep = fits_memory(dataset.sizes["frame"], spec)
         self._kept: dict[int, Kept] | None = {} if keep else None
@@ -87,8 +86,8 @@ class StoredFrames(Dataset[Kept]):
         if "vehicle_from_camera" in self._dataset:
             names.append("vehicle_from_camera")
         frame = {name: self._dataset.variables[name][index].values for name in names}  # coordinates would cost two thirds more
-        if self._of_rig:
-            frame["joints_3d"] = told_as(frame["joints_3d"], RIG.joints, RIG, CABINPOSE)
+        if self._placed is not None:
+            frame["joints_3d"] = told_as(frame["joints_3d"], self._placed.joints, self._placed, CABINPOSE)
         kept = view_frame(frame, self.spec, self._rows)
         if self._kept is not None:
             self._kept[index] = kept

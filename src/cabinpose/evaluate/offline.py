@@ -12,8 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import (
-    ANATOMY,
     CABINPOSE,
+    JOINT_DEFINITIONS,
     SKELETONS,
     UNKNOWN_SET,
     DatasetError,
@@ -95,8 +95,12 @@ def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predicto
     if not shared:
         raise PredictionsError("the models have no joint in common", hint="evaluate them one by one")
     ours = SKELETONS[name].subset(shared)
-    says = any(getattr(model, "joint_definition", "") == ANATOMY for model in models)
-    return ours if says and has_joint_map(known, ours) else ours.marked_by(known.definition)
+    says = {stated for model in models if (stated := getattr(model, "joint_definition", "")) in JOINT_DEFINITIONS}
+    if len(says) > 1:
+        told = ", ".join(sorted(says))
+        raise PredictionsError(f"the models' joints are of different definitions: {told}", hint="evaluate them one by one")
+    meant = [ours.marked_by(JOINT_DEFINITIONS[stated].definition) for stated in says] if name == CABINPOSE.name else []
+    return next((each for each in meant if has_joint_map(known, each)), ours.marked_by(known.definition))
 
 
 def truth_of(dataset: xr.Dataset, skeleton: Skeleton) -> xr.Dataset:
@@ -256,7 +260,10 @@ def _caveats(
     if absent:
         notes.append(f"{absent} of {len(frames)} frames are not in the predictions: all their joints count as missed")
     placed = dataset_skeleton(dataset, skeleton.name).definition
-    if skeleton.definition != (stated := SKELETONS[skeleton.name].definition):
+    stated = SKELETONS[skeleton.name].definition
+    if skeleton.definition not in (stated, placed):
+        notes.append(f"the dataset's joints are {placed}; they were told as {skeleton.definition}")
+    elif skeleton.definition != stated:
         notes.append(f"the dataset's joints are {placed}; the set {skeleton.name} is {stated}")
     elif placed != stated and placed:
         notes.append(f"the dataset's joints are {placed}; they were told as those of the set {skeleton.name}: {stated}")

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cabinpose.core import (
+    ANATOMY,
     CABINPOSE,
     IMAGES,
+    JOINT_DEFINITIONS,
     RIG,
     SKELETONS,
     Camera,
@@ -67,9 +69,11 @@ def dataset_skeleton(dataset: xr.Dataset, name: str = CABINPOSE.name) -> Skeleto
         known = ", ".join(each for each in SKELETONS if joint_dimension(each) in dataset.coords)
         raise DatasetError(f"the dataset has no joints of the set {name}", hint=f"it has those of {known}")
     found = skeleton_with(tuple(map(str, dataset[dimension].values)), name)
-    maker = str(dataset.attrs.get("generator"))
-    if name == CABINPOSE.name and maker == "cabinpose.synth" and not dataset.attrs.get("joint_definition"):
+    maker, stated = str(dataset.attrs.get("generator")), str(dataset.attrs.get("joint_definition") or "")
+    if name == CABINPOSE.name and maker == "cabinpose.synth" and not stated:
         return found.marked_by(RIG.definition)
+    if name == CABINPOSE.name and stated in JOINT_DEFINITIONS and stated != ANATOMY:
+        return found.marked_by(JOINT_DEFINITIONS[stated].definition)
     placed_by = _PLACED_BY.get(maker)
     return found if placed_by is None else found.marked_by(placed_by)
 

@@ -61,7 +61,11 @@ def open_dataset(folder: Path | str, *, missing: Literal["warn", "raise", "ignor
         if missing == "raise":
             raise DatasetError(message, hint="complete it with `cabinpose synth --resume`")
         warnings.warn(message, stacklevel=2)
-    facts = check_parts(path, plans, manifest)
+    return dataset_of_parts(path, manifest, plans, check_parts(path, plans, manifest))
+
+
+def dataset_of_parts(path: Path, manifest: Manifest, plans: Sequence[PartPlan], facts: list[PartFacts]) -> xr.Dataset:
+    """`open_dataset` of the folder of a manifest, of some parts that were checked, whose facts these are."""
     if manifest.checksum is None and any(part.checksum is not None for part in facts):
         raise DatasetError(
             f"{path / MANIFEST_NAME} has lost its checksum, its last line", hint="restore the file as it was written"

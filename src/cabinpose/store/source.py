@@ -56,19 +56,16 @@ def blank_frame(manifest: Manifest) -> dict[str, Any]:
 
 def visible_box(seen: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(4,) px, `box_2d` of the dataset standard: the least and greatest u, v of the pixels (H, W) that are seen; NaN of none."""
-    across, down = np.flatnonzero(seen.any(axis=0)), np.flatnonzero(seen.any(axis=1))
-    if not len(across):
+    if not seen.any():
         return np.full(4, np.nan, np.float32)
+    across, down = np.flatnonzero(seen.any(axis=0)), np.flatnonzero(seen.any(axis=1))
     return np.array((across[0], down[0], across[-1], down[-1]), np.float32)
 
 
 def visible_boxes(labels: NDArray[np.uint8] | None, instance: NDArray[np.uint8], persons: int) -> NDArray[np.float32]:
     """(P, 4) px, `box_2d` of everybody in images (H, W); things in the hand are no part of who holds them."""
-    people = instance if labels is None else np.where(labels < FIRST_OF_WORLD, instance, 0)
-    there = set(np.unique(people).tolist())
-    return np.stack([
-        visible_box(people == 1 + row) if 1 + row in there else np.full(4, np.nan, np.float32) for row in range(persons)
-    ])  # fmt: skip
+    people = instance if labels is None else instance * (labels < FIRST_OF_WORLD)
+    return np.stack([visible_box(people == 1 + row) for row in range(persons)])
 
 
 def import_source(source: Source, out: Path | str, *, overwrite: bool = False, report: Report | None = None) -> Path:

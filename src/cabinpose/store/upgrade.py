@@ -108,17 +108,18 @@ def upgrade_dataset(folder: Path | str, *, report: Report | None = None) -> Mani
     DatasetError
         For a dataset that is damaged or of today's version, and where the disk is full; then it stays as it is.
     """
-    from cabinpose.store.lazy import open_dataset  # noqa: PLC0415 - xarray, which writers do without
+    from cabinpose.store.lazy import dataset_of_parts  # noqa: PLC0415 - xarray, which writers do without
 
     path = Path(folder)
     old = read_manifest(path)
     if old.schema_version == SCHEMA_VERSION:
         raise DatasetError(f"{path} is of version {SCHEMA_VERSION} already", hint="there is nothing to upgrade")
-    dataset = open_dataset(path, missing="ignore")
-    new = upgraded_manifest(old).model_copy(update={"upgraded_from": dataset_id(old)})
     plans, done, after = old.parts_in(path), 0, None
+    if not plans:
+        raise DatasetError(f"{path} has no complete part yet", hint="generate it with `cabinpose synth --resume`")
     facts = check_parts(path, plans, old)
-    frames = upgraded_frames(dataset, old, new)
+    new = upgraded_manifest(old).model_copy(update={"upgraded_from": dataset_id(old)})
+    frames = upgraded_frames(dataset_of_parts(path, old, plans, facts), old, new)
     refuse_other_writer(path, DatasetError)
     with new_folder(path, overwrite=True) as temporary:
         temporary.mkdir()

@@ -6,14 +6,15 @@ around the part of the car, and some all over it. docs/dataset.md says how far t
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Floats, Floats32, Ints, apply, invert
-from cabinpose.scene import merge
+from cabinpose.core import Floats, Floats32, Ints, Matrix, apply, invert
+from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import SEGMENTS, vertex_segments
 from cabinpose.scene.cabin import STATIC_GROUP, Cabin
 from cabinpose.scene.contact import WHEEL_GROUP, TriangleMesh, triangle_mesh
@@ -27,30 +28,44 @@ _LOOKED_AT = 400  # vertices of a part of the body, evenly taken
 _NEAREST, _SPREAD = 16, 8  # of them
 _OF_FEET = ("dashboard",)  # feet lie on it; how far they are from the wheel says nothing of them
 _FAR_M = 3.0  # beyond every distance in a car
-_FIRST = 1  # points that say how far the others need be looked for
+_CELL_M = MappingProxyType({WHEEL_GROUP: 0.03, STATIC_GROUP: 0.06})  # of search grids: the dashboard's triangles are larger
+
+
+class _Hazard(NamedTuple):
+    """A part of a car that people are held against. group: that it moves with · low, high: (3,) m of its box in that frame."""
+
+    name: str
+    group: str
+    mesh: TriangleMesh
+    low: Floats
+    high: Floats
+
+
+def _hazard(name: str, group: str, surface: Surface) -> _Hazard:
+    mesh = triangle_mesh(surface.vertices, surface.faces, closed=False, cell_m=_CELL_M[group])
+    return _Hazard(name, group, mesh, mesh.low, mesh.high)
 
 
 @lru_cache(maxsize=64)
-def _hazards(cabin: Cabin) -> dict[tuple[str, str], tuple[str, TriangleMesh]]:
-    """By slot and name of a hazard: the group of parts that it moves with, and its triangles there."""
+def _hazards(cabin: Cabin) -> dict[str, tuple[_Hazard, ...]]:
+    """By slot. Each is made once for a car."""
     parts = {part.name: part.surface for part in cabin.parts}
-    wheel = [part.surface for part in cabin.parts if part.group == WHEEL_GROUP]
-    found = {}
-    for slot in _FRONT:
-        if wheel:
-            whole = merge(wheel)
-            found[slot, "wheel"] = WHEEL_GROUP, triangle_mesh(whole.vertices, whole.faces, closed=False)
-        if "airbag cover" in parts and slot == "driver":
-            cover = parts["airbag cover"]
-            found[slot, "airbag"] = WHEEL_GROUP, triangle_mesh(cover.vertices, cover.faces, closed=False)
-        if "dashboard" in parts:
-            board = parts["dashboard"]
-            found[slot, "dashboard"] = STATIC_GROUP, triangle_mesh(board.vertices, board.faces, closed=False)
-            if slot == "front_passenger" and slot in cabin.seats:
-                beside = np.abs(board.vertices[:, 1] - cabin.seats[slot].design_h_point[1]) <= _AIRBAG_HALF_M
-                before = board.faces[beside[board.faces].all(axis=1)]
-                if len(before):
-                    found[slot, "airbag"] = STATIC_GROUP, triangle_mesh(board.vertices, before, closed=False)
+    wheel, cover, board = (
+        [p.surface for p in cabin.parts if p.group == WHEEL_GROUP],
+        parts.get("airbag cover"),
+        parts.get("dashboard"),
+    )
+    shared = [_hazard("wheel", WHEEL_GROUP, merge(wheel))] if wheel else []
+    if board is not None:
+        shared.append(_hazard("dashboard", STATIC_GROUP, board))
+    found = dict.fromkeys(_FRONT, tuple(shared))
+    if cover is not None:
+        found["driver"] += (_hazard("airbag", WHEEL_GROUP, cover),)
+    if board is not None and "front_passenger" in cabin.seats:
+        beside = np.abs(board.vertices[:, 1] - cabin.seats["front_passenger"].design_h_point[1]) <= _AIRBAG_HALF_M
+        before = board.faces[beside[board.faces].all(axis=1)]
+        if len(before):
+            found["front_passenger"] += (_hazard("airbag", STATIC_GROUP, replace(board, faces=before)),)
     return found
 
 
@@ -67,32 +82,39 @@ def distance_labels(scene: Scene, slots: tuple[str, ...]) -> dict[str, Floats32]
     result = np.full((len(slots), len(AXES["body_part"]), len(AXES["hazard"])), np.nan, np.float32)
     if scene.cabin is not None:
         hazards = _hazards(scene.cabin)
-        vehicle_from = scene.cabin.group_transforms(scene.settings, wheel_angle=scene.wheel_angle)
-        frames = {group: invert(vehicle_from[group]) for group in {group for group, _ in hazards.values()}}
+        wheel = scene.cabin.vehicle_from_wheel(scene.wheel_angle)
+        wheel_from_vehicle = None if wheel is None else invert(wheel)
         for who in scene.people:
             if who.slot in _FRONT:
-                result[slots.index(who.slot)] = _of_person(who, hazards, frames)
+                _of_person(who, hazards[who.slot], wheel_from_vehicle, out=result[slots.index(who.slot)])
     return {"distance": result}
 
 
-def _of_person(who: ScenePerson, hazards: dict[tuple[str, str], tuple[str, TriangleMesh]], frames: dict[str, Floats]) -> Floats:
-    """(4, 3) m."""
-    skin = who.posed.skin
-    rows = []
-    for part in AXES["body_part"]:
-        points = skin[_rows()[part]].astype(np.float64)
-        of_slot = [hazards.get((who.slot, name)) if name in _OF_FEET or "foot" not in part else None for name in AXES["hazard"]]
-        rows.append([math.nan if found is None else _distance(points, *found, frames) for found in of_slot])
-    return np.array(rows)
+def _of_person(who: ScenePerson, hazards: tuple[_Hazard, ...], wheel_from_vehicle: Matrix | None, *, out: Floats32) -> None:
+    """Into (4, 3) m."""
+    for row, part in enumerate(AXES["body_part"]):
+        points = {STATIC_GROUP: who.posed.skin[_rows()[part]].astype(np.float64)}
+        if wheel_from_vehicle is not None and "foot" not in part:
+            points[WHEEL_GROUP] = apply(wheel_from_vehicle, points[STATIC_GROUP])
+        middles = {group: each.mean(axis=0) for group, each in points.items()}
+        for hazard in hazards:
+            if hazard.name in _OF_FEET or "foot" not in part:
+                out[row, AXES["hazard"].index(hazard.name)] = _distance(points[hazard.group], middles[hazard.group], hazard)
 
 
-def _distance(points: Floats, group: str, mesh: TriangleMesh, frames: dict[str, Floats]) -> float:
-    """The least distance (m) of points (N, 3), vehicle frame, from a part of the car."""
-    local = apply(frames[group], points)
-    middle = local.mean(axis=0)
-    off = local - np.clip(middle, mesh.low, mesh.high)
-    squared = off[:, 0] * off[:, 0] + off[:, 1] * off[:, 1] + off[:, 2] * off[:, 2]
-    nearest = np.argsort(squared, kind="stable")[:_NEAREST]
-    chosen = local[np.concatenate((nearest, np.arange(0, len(local), max(1, len(local) // _SPREAD))))]
-    bound = float(mesh.signed_distance(chosen[:_FIRST], _FAR_M).min())
-    return max(0.0, float(mesh.signed_distance(chosen[_FIRST:], bound).min()))
+def _distance(points: Floats, middle: Floats, hazard: _Hazard) -> float:
+    """The least distance (m) of points (N, 3) about a middle (3,), in the frame of a part of the car, from it."""
+    x, y, z = (points - np.minimum(np.maximum(middle, hazard.low), hazard.high)).T
+    squared = x * x + y * y + z * z
+    looked_at = squared <= np.sort(squared)[_NEAREST - 1]
+    looked_at[:: max(1, len(points) // _SPREAD)] = True
+    chosen = points[looked_at]
+    # No point is nearer to the triangles than to their box: only few of the points have to be held against them.
+    x, y, z = (chosen - np.minimum(np.maximum(chosen, hazard.low), hazard.high)).T
+    from_box = x * x + y * y + z * z
+    first = np.argmin(from_box)
+    bound = float(hazard.mesh.signed_distance(chosen[first : first + 1], _FAR_M)[0])
+    nearer = from_box < bound * bound
+    nearer[first] = False
+    others = hazard.mesh.signed_distance(chosen[nearer], bound)
+    return min([bound, *others.tolist()])

@@ -16,7 +16,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, NamedTuple, TypeAlias, cast, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, cast, get_args
 
 import numpy as np
 
@@ -285,11 +285,12 @@ def _as_bodies_are(stature_m: float, mass_kg: float) -> tuple[float, float]:
     return stature, min(max(mass_kg, low), high)
 
 
-def _at_score(values: Floats, score: float) -> float:
-    """Of values at `_SCORES` that at a normal score: straight lines between, and beyond both ends as before them."""
-    k = min(max(int(np.searchsorted(_SCORES, score)), 1), len(_SCORES) - 1)
+def _at_score(values: Floats, score: Any) -> Any:
+    """Of values at `_SCORES` those at a normal score, or at (N,): straight lines between, and beyond both ends as before them."""
+    k = np.clip(np.searchsorted(_SCORES, score), 1, len(_SCORES) - 1)
     share = (score - _SCORES[k - 1]) / (_SCORES[k] - _SCORES[k - 1])
-    return float(values[k - 1] + share * (values[k] - values[k - 1]))
+    found = values[k - 1] + share * (values[k] - values[k - 1])
+    return found if np.ndim(found) else float(found)
 
 
 def _score_of(values: Floats, value: float) -> float:
@@ -470,8 +471,7 @@ def _with_sd(values: Floats, sd: float) -> Floats:
     weight = rp.exp(-0.5 * np.square(np.linspace(-4.0, 4.0, 321)))
     weight = weight / rp.matmul(weight, np.ones(len(weight)))
     ends = np.array([values[0] - values[1], *np.zeros(len(values) - 2), values[-1] - values[-2]])
-    parts = [np.array([_at_score(v, s) for s in scores.tolist()]) for v in (values - ends, ends)]
-    parts = [part - rp.matmul(weight, part) for part in parts]
+    parts = [part - rp.matmul(weight, part) for part in (_at_score(v, scores) for v in (values - ends, ends))]
     # sd^2 = a + 2 b t + c t^2, of ends t times as long
     a, b, c = (rp.matmul(weight, x * y) for x, y in ((parts[0], parts[0]), (parts[0], parts[1]), (parts[1], parts[1])))
     root = b * b - c * (a - sd * sd)

@@ -233,11 +233,17 @@ class Cabin:
             result[f"seat:{slot}/base"] = base = seat.vehicle_from_seat(setting)
             result[f"seat:{slot}/back"] = back = seat._reclined(base, setting)
             result[f"seat:{slot}/headrest"] = back
-        if self.steering_wheel is not None:
-            turn = np.eye(4)
-            turn[:3, :3] = axis_rotation("z", wheel_angle)
-            result[WHEEL_GROUP] = rp.matmul(self.steering_wheel.vehicle_from_wheel, turn)
+        if (wheel := self.vehicle_from_wheel(wheel_angle)) is not None:
+            result[WHEEL_GROUP] = wheel
         return result
+
+    def vehicle_from_wheel(self, wheel_angle: float = 0.0) -> Matrix | None:
+        """Where the parts that turn with the wheel are at an angle (rad, positive to the left); None where there is no wheel."""
+        if self.steering_wheel is None:
+            return None
+        turn = np.eye(4)
+        turn[:3, :3] = axis_rotation("z", wheel_angle)
+        return np.asarray(rp.matmul(self.steering_wheel.vehicle_from_wheel, turn))
 
     def surface(self, settings: Mapping[str, SeatSetting] | None = None, *, wheel_angle: float = 0.0) -> Surface:
         """Everything in one surface, vehicle frame, instance 0. Its faces and classes are shared: read-only arrays."""

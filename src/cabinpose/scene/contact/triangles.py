@@ -38,8 +38,9 @@ class SearchGrid(NamedTuple):
 class TriangleMesh:
     """Triangles prepared for exact distance queries.
 
-    corners: (F, 3, 3) float64 m · normals: (F, 7, 3) pseudo-normals of face, vertices a b c, edges ab bc ca ·
-    closed: whether inside has a meaning · faces: (F, 3) int32 into vertices (V, 3), welded · grid: where to search.
+    corners: (F, 3, 3) float64 m · normals: (F, 7, 3) pseudo-normals of face, vertices a b c, edges ab bc ca, of open ones
+    those of faces alone · closed: whether inside has a meaning · faces: (F, 3) int32 into vertices (V, 3), welded · grid: where
+    to search.
     """
 
     vertices: Floats
@@ -75,10 +76,13 @@ def welded(points: Floats) -> tuple[Ints, Ints]:
     return distinct_rows(np.round(points / _WELD_M))
 
 
-def triangle_mesh(vertices: NDArray[np.floating], faces: NDArray[np.integer], *, closed: bool) -> TriangleMesh:
+def triangle_mesh(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, closed: bool, cell_m: float = CELL_M
+) -> TriangleMesh:
     """A `TriangleMesh` of vertices (V, 3) m and faces (F, 3), counter-clockwise from outside; drops slivers of no area.
 
-    `closed` states that the triangles bound a volume; it is not verified here.
+    `closed` states that the triangles bound a volume; it is not verified here. cell_m: side of the search grid's cells; wider
+    ones where points are far off, of which each looks into as many cells as are nearer than what it finds.
     """
     every = np.asarray(vertices, np.float64)
     first, which = welded(every)
@@ -88,9 +92,9 @@ def triangle_mesh(vertices: NDArray[np.floating], faces: NDArray[np.integer], *,
     triangles = triangles[distinct]
     corners = np.ascontiguousarray(corner_points[triangles])
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    dims = np.maximum(np.ceil((high - low) / CELL_M), 1).astype(np.int64)
-    normals = _pseudo_normals(corners, triangles, len(corner_points))
-    grid = SearchGrid(low, CELL_M, dims, *native.bin_triangles(corners, low, CELL_M, dims))
+    dims = np.maximum(np.ceil((high - low) / cell_m), 1).astype(np.int64)
+    normals = _pseudo_normals(corners, triangles, len(corner_points), closed=closed)
+    grid = SearchGrid(low, cell_m, dims, *native.bin_triangles(corners, low, cell_m, dims))
     return TriangleMesh(corner_points, triangles, corners, normals, closed, grid)
 
 
@@ -100,9 +104,13 @@ def edge_keys(faces: Ints32, count: int) -> Ints:
     return np.asarray(ends[..., 0] * count + ends[..., 1])
 
 
-def _pseudo_normals(corners: Floats, faces: Ints32, count: int) -> Floats:
+def _pseudo_normals(corners: Floats, faces: Ints32, count: int, *, closed: bool) -> Floats:
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-30)
+    if not closed:  # which have no sign to decide at vertices and edges
+        alone = np.zeros((len(faces), 7, 3))
+        alone[:, 0] = face
+        return alone
     towards_next = np.roll(corners, -1, axis=1) - corners
     towards_next /= np.maximum(np.linalg.norm(towards_next, axis=2, keepdims=True), 1e-30)
     cosine = -(towards_next * np.roll(towards_next, 1, axis=1)).sum(axis=2)
