@@ -44,9 +44,9 @@ struct ContinuousWave {
   Array<const float, any, any> gain;                    // electrons per unit of energy, 0 outside the field
   Array<const float, any, any> ambient_gain;            // electrons per unit of ambient light
   Finishes table;
-  Array<const double, any> frequencies;                 // Hz: one, or two
-  std::pair<int, int> frequency_ratio;                  // p : q of the two
-  double near, far;                                     // m along the axis
+  Array<const double, any> frequencies;  // Hz: one, or two
+  std::pair<int, int> frequency_ratio;   // p : q of the two
+  double near, far;                      // m along the axis
   Array<const float, any, any, any>
       indirect;  // (H, 1 + 2 F, W) energy and (cos, sin) a frequency of indirect light, or (0, ., .)
 

@@ -17,9 +17,9 @@ struct LitScene {
   Array<const float, any, any> flux;          // (h, w): of the light into each cell of step x step pixels
   Array<const float, any, any> illumination;  // radiant intensity of the light along the rays
   Finishes table;
-  Array<const double, any> frequencies;       // Hz
-  int step, bounces;                          // pixels of a cell's side; surfaces between the light and what the camera sees
-  double unseen, unseen_area, unseen_path;    // reflectance, area (m^2) and length of the way by (m) what the camera does not see
+  Array<const double, any> frequencies;     // Hz
+  int step, bounces;                        // pixels of a cell's side; surfaces between the light and what the camera sees
+  double unseen, unseen_area, unseen_path;  // reflectance, area (m^2) and length of the way by (m) what the camera does not see
 
   CABINPOSE_FIELDS(LitScene, rays, flux, illumination, table, frequencies, step, bounces, unseen, unseen_area, unseen_path)
 };

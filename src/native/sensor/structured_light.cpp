@@ -66,8 +66,8 @@ struct Seen {
 /// Row v: each pixel sees the surface a random step (sigma `lateral`, px) beside its centre. table: by material.
 ///
 /// slots: (H * W) where in `mixed` each pixel is, or -1. A pixel without parts is a smooth surface, continued along its slope.
-void look_beside(const View& view, Finishes table, double lateral, const std::uint16_t* ranks,
-                 const float* quantiles, const std::int32_t* slots, Index v, Seen& out) {
+void look_beside(const View& view, Finishes table, double lateral, const std::uint16_t* ranks, const float* quantiles,
+                 const std::int32_t* slots, Index v, Seen& out) {
   const Index height = view.depth_m.size(0), width = view.depth_m.size(1), s = view.supersample;
   const double side = static_cast<double>(s);
   const std::int32_t divisor = view.supersample;

@@ -21,7 +21,8 @@ struct View {
   CABINPOSE_FIELDS(View, supersample, depth_m, cos_incidence, material, mixed, parts_depth_m, parts_cos_incidence, parts_material)
 };
 
-/// How surfaces return light, by material: diffuse reflectance, specular peak, ambient light returned, 1 / width of the specular lobe.
+/// How surfaces return light, by material: diffuse reflectance, specular peak, ambient light returned, 1 / width of the specular
+/// lobe.
 inline constexpr Index finish_columns = 4;
 using Finishes = Array<const float, 256, finish_columns>;
 
