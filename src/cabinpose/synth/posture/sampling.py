@@ -187,7 +187,9 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     side_sign = _busy_side(action, inboard, rng)  # + left
     feet = foot_goals(seated, root, _foot_plans(seated, rng))
     q, slumped = seated.fit.q.copy(), _SLUMPED if seated.on is None else 1.0
-    root = rp.matmul(root, transform(rotation_vector((0.0, -_move_trunk(q, action, side_sign, slumped, rng), 0.0))))
+    slump = _move_trunk(q, action, side_sign, slumped, rng)
+    if seated.on is None:  # a child seat's back leaves no room for it
+        root = rp.matmul(root, transform(rotation_vector((0.0, -slump, 0.0))))
     trunk = Trunk(seated, q, root, frames(q, seated.person.rest, root), wheel_angle)
     left, right = (_hand_goal(trunk, hands[side], side, comfort[side], held, rng) for side in (0, 1))
     fingers = np.stack([hand.fingers for hand in hands])
