@@ -173,7 +173,9 @@ def test_a_scene_written_out_gives_the_same_bytes(tmp_path: Path) -> None:
         (one,) = cabinpose.generate(frames=1, first=index, seed=SEED, config=drawn)
         (same,) = cabinpose.generate(frames=1, first=index, seed=SEED, config=told)
         (noisy,) = cabinpose.generate(frames=1, first=index + 1, seed=SEED, config=told)
-        assert {name for name in one if not np.array_equal(one[name], same[name], equal_nan=np.asarray(one[name]).dtype.kind == "f")} == set()
+        assert {
+            name for name in one if not np.array_equal(one[name], same[name], equal_nan=np.asarray(one[name]).dtype.kind == "f")
+        } == set()
         assert np.array_equal(one["depth_clean"], noisy["depth_clean"], equal_nan=True)
         assert not np.array_equal(one["depth"], noisy["depth"], equal_nan=True)
         met.update([one["car"], *filter(None, one["subject"])])
