@@ -67,7 +67,7 @@ def solve_posture(
                 raise SceneError(f"the {seat.slot} seat of the {cabin.name} has no steering wheel")
             hold = rim_grip(person, cabin.steering_wheel.rim_section_m)
             q[DOF_INDEX["lr"[side] + "hand.grip"]] = hold.grip
-            task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2), hold)
+            task = on_rim(cabin.steering_wheel, wheel_angle + (np.pi / 2 if side == 0 else -np.pi / 2), hold, 0.5, side)
             palms.append(HandGoal(task, holds_wheel=True))
         else:
             q[DOF_INDEX["lr"[side] + "hand.grip"]] = REST_GRIP

@@ -81,7 +81,7 @@ def test_a_child_sits_on_the_cushion_and_in_nothing(kind: str, slot: str) -> Non
 
 @pytest.mark.parametrize("kind", ["booster", "booster_cushion"])
 def test_the_belt_crosses_the_middle_of_a_childs_shoulder_and_lies_low(kind: str) -> None:
-    _, child = drawn(kind, "rear_left", belted=1.0, motion={"rear_left": {"rest_lap": 1.0}})
+    _, child = drawn(kind, "rear_left", seed=3, belted=1.0, motion={"rear_left": {"rest_lap": 1.0}})
     assert child.belt == "worn"
     at = {name: child.posed.joints[i] for name, i in CABINPOSE.index.items()}
     belt = child.surfaces[1].vertices.astype(np.float64)

@@ -20,7 +20,7 @@ _ASIDE_M = {"accelerator": -0.024}  # clear of the brake, which stands proud of 
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
 # Weights along and about the sole's axes, 1/m and 1/rad. A foot on the floor may stand elsewhere, but on the floor.
-_ON_PEDAL = np.array([5.0, 4.0, 5.0, 0.1, 0.03, 0.02])  # the sole leans off a pad rather than the ankle bends to its limit
+_ON_PEDAL = np.array([5.0, 4.0, 5.0, 0.1, 0.05, 0.02])  # the sole leans off a pad rather than the ankle bends to its limit
 _STANDING = np.array([1.5, 1.5, 6.0, 0.4, 0.4, 0.15])
 _HANGING = np.array([0.6, 0.6, 0.6, 0.02, 0.02, 0.02])
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))

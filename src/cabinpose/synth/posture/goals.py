@@ -20,7 +20,7 @@ TASKS = ("lhand", "rhand", "lfoot", "rfoot", "head")
 # Weights of departing from the comfortable posture, 1/rad, against those of 1 m: a trunk that follows its hands and gives way.
 _OF_JOINT = {"lumbar": 0.2, "thorax": 0.2, "neck": 0.05, "head": 0.04, "head.flexion": 0.09, "lclavicle": 0.08, "rclavicle": 0.08}
 _LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.03])
-_PEDAL_LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.05, 0.03])  # an ankle that is not bent to its limit
+_PEDAL_LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.03, 0.03])  # an ankle that is not bent to its limit
 _STIFFNESS = np.array([_OF_JOINT.get(dof.name, _OF_JOINT.get(dof.name.split(".")[0], 0.0)) for dof in DOFS])
 _ROOT_WEIGHT = np.array([10.0, 4.0, 20.0, 1.5, 1.5, 1.0])  # a pelvis hardly leaves its cushion, and slides and turns before
 _STANDING_LEG = np.radians((8.0, 4.0, 0.0, 12.0, 4.0, 0.0))

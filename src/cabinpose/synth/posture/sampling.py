@@ -186,8 +186,10 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
     feet = foot_goals(seated, root, _foot_plans(seated, rng))
-    q = seated.fit.q.copy()
-    root = rp.matmul(root, transform(rotation_vector((0.0, -_move_trunk(q, action, side_sign, rng), 0.0))))
+    q, slumped = seated.fit.q.copy(), _SLUMPED if seated.on is None else 1.0
+    slump = _move_trunk(q, action, side_sign, slumped, rng)
+    if seated.on is None:  # a child seat's back leaves no room for it
+        root = rp.matmul(root, transform(rotation_vector((0.0, -slump, 0.0))))
     trunk = Trunk(seated, q, root, frames(q, seated.person.rest, root), wheel_angle)
     left, right = (_hand_goal(trunk, hands[side], side, comfort[side], held, rng) for side in (0, 1))
     fingers = np.stack([hand.fingers for hand in hands])
@@ -327,13 +329,16 @@ def _busy_side(action: Action, inboard: int, rng: np.random.Generator) -> float:
     return random
 
 
-def _move_trunk(q: Floats, action: Action, side_sign: float, rng: np.random.Generator) -> float:
-    """Bends the trunk, in place; how far the pelvis slumps (rad, + backwards): the loins bend by as much, the chest stays."""
+def _move_trunk(q: Floats, action: Action, side_sign: float, slumped: float, rng: np.random.Generator) -> float:
+    """Bends the trunk, in place; how far the pelvis slumps (rad, + backwards): the loins bend by as much, the chest stays.
+
+    slumped: how much more people differ in that than by breathing.
+    """
     slump = 0.0
     for name, spread in BREATHING.items():
         value = drawn_angle(spread, rng=rng)
         if name == "lumbar.flexion":
-            value *= _SLUMPED
+            value *= slumped
             slump = value
         if name in action.trunk:
             mean, sigma = action.trunk[name]
