@@ -17,6 +17,8 @@ from PIL import Image
 from cabinpose.core import Camera, axis_rotation, invert, look_at
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOFS, SUBJECTS, BodyModel, Face
+from cabinpose.scene.sensor.optics import material_table
+from cabinpose.synth.person_look import look_of
 from cabinpose.synth.pictures.look import near_infrared, person_colours
 from cabinpose.synth.render import Rasteriser
 
@@ -50,7 +52,8 @@ def columns() -> list[np.ndarray]:
         surface = posed.surface(1, face)
         frame = eye.render(surface, invert(look_at(start, middle)))
         seen, cosine = frame.face_id >= 0, np.nan_to_num(frame.buffers.cos_incidence)
-        tints = near_infrared(surface) / 0.8, person_colours(person, rng=np.random.Generator(np.random.Philox(key=number)))
+        colours = person_colours(person, look_of(person, number, name), rng=np.random.Generator(np.random.Philox(key=number)))
+        tints = near_infrared(surface, material_table(True, True, 0.0, 0.0)) / 0.8, colours
         shaded = [np.where(seen[..., None], tint[frame.face_id] * cosine[..., None], 0.0) for tint in tints]
         depth = np.where(seen, (AWAY_M + 0.08 - frame.depth_clean) / 0.2, 0.0)
         amplitude, colour = (rp.power(np.clip(image, 0.0, 1.0), 1.0 / 2.2) for image in shaded)

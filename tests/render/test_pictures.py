@@ -258,7 +258,7 @@ def test_eyes_lips_and_mouths_have_colours_of_what_they_are(number: int) -> None
     from cabinpose.scene.body import SUBJECTS, BodyModel
 
     p = BodyModel.load().person(*SUBJECTS["S02"])
-    colours = person_colours(p, rng=own_rng(number, "x"))
+    colours = person_colours(p, look_of(p, number, "x"), rng=own_rng(number, "x"))
     of = {m.name: colours[p.dressed.material == m.id] for m in MATERIALS}
     eye, iris, pupil, mouth = (np.median(of[name], axis=0) for name in ("eye", "iris", "pupil", "mouth"))
     assert eye.min() > 1.2 * iris.max()
