@@ -140,6 +140,12 @@ def test_a_camera_that_sees_a_wall_is_refused_with_the_reason(name: str) -> None
     assert [each for each in words if each not in str(caught.value)] == []
 
 
+def test_a_car_that_lacks_a_view_is_named_with_those_that_it_has() -> None:
+    with pytest.raises(ConfigError, match="shuttle has no view 'mirror'") as caught:
+        checked("scene.cars=[suv, shuttle]", "camera.views={mirror: 1}")
+    assert "driver, front_row, rear; name the cars" in str(caught.value.hint)
+
+
 def test_a_camera_that_is_blind_in_one_car_of_two_is_told() -> None:
     """It is in the van's cabin, and above the coupe's roof."""
     _, words = checked("scene.cars=[coupe, van]", "camera.views={mine: {position_m: [-0.5, 0, 1.2], look_at_m: [-1.2, 0, 0.6]}}")

@@ -217,7 +217,12 @@ def _check_views(config: SynthConfig, car: _Car) -> None:
                     f"{car.name}: no free place was found for the automatic view '{name}'",
                     hint=f"give one in that file, as views: {{{name}: {{eye: [x, y, z], target: [x, y, z]}}}}",
                 )
-            anchor = cabin.view(name)  # ConfigError for a view that this cabin lacks
+            if name not in cabin.views:
+                raise ConfigError(
+                    f"{car.name} has no view '{name}'",
+                    hint=f"its views: {', '.join(cabin.views)}; name the cars that have it with scene.cars",
+                )
+            anchor = cabin.view(name)
             if not car.ours:
                 eyes[name] = np.asarray(anchor.eye, dtype=np.float64)
     if not eyes:
