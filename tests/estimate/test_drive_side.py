@@ -139,7 +139,7 @@ def test_a_dataset_says_where_the_wheel_is_where_it_is_asked_to(cabin: str, side
     car = build_cabin(cabin, drive_side=side or "right")  # type: ignore[arg-type]
     scene: Any = SimpleNamespace(cabin=car)
     nothing: Any = None
-    facts = FrameFacts(SynthConfig(), 1, (), scene, *[nothing] * 5)
+    facts = FrameFacts(SynthConfig(), 1, (), scene, *[nothing] * 6)
     assert row.make(facts) == {"drive_side": side}
     if car.steering_wheel is not None:  # the vehicle's y points to the left
         assert (car.steering_wheel.vehicle_from_wheel[1, 3] > 0) == (side == "left")

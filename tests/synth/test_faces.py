@@ -27,9 +27,8 @@ EYE = [MATERIAL_ID[name] for name in ("eye", "iris", "pupil")]
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    config = small_config(
-        occupancy={}, occupants={"driver": {"subject": "S01"}, "front_passenger": {"subject": "S02", "action": "sleep"}}
-    )
+    awake, asleep = {"subject": "S01", "action": "drive"}, {"subject": "S02", "action": "sleep"}
+    config = small_config(occupancy={}, occupants={"driver": awake, "front_passenger": asleep})
     return SceneSampler(config, 3).sample(0, rng=frame_rng(3, 0))
 
 
@@ -100,9 +99,8 @@ def test_eyes_turn_no_farther_than_they_can(scene: Scene) -> None:
 
 
 def test_a_face_that_is_given_is_kept(scene: Scene) -> None:
-    config = small_config(
-        occupancy={}, occupants={"driver": {"subject": "S01"}, "front_passenger": {"subject": "S02", "action": "sleep"}}
-    )
+    awake, asleep = {"subject": "S01", "action": "drive"}, {"subject": "S02", "action": "sleep"}
+    config = small_config(occupancy={}, occupants={"driver": awake, "front_passenger": asleep})
     exact = exact_scene(config, scene)
     told = exact.scene.occupants["driver"].pose.face
     assert told is not None

@@ -22,7 +22,7 @@ from cabinpose.synth.motion.activities import RECEIVE, Step, inboard_neighbour, 
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
 from cabinpose.synth.motion.track import CLOSING_S, Held, Pose, Segment, Track, duration, way_through
 from cabinpose.synth.posture.actions import inboard_side
-from cabinpose.synth.posture.goals import between, given, staying
+from cabinpose.synth.posture.goals import between, given, holding, staying
 from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
@@ -359,6 +359,8 @@ class Planner:
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
             drawn = self._who.draw(step.action, now.pose.wheel_angle, hold, number, time_s, reach)
             angle = now.pose.wheel_angle
+        if step.steers:
+            drawn = replace(drawn, sitter=holding(drawn.sitter, self._carried(now, drawn.sitter, angle)))
         if reach is not None and reach.side is not None:
             drawn = replace(drawn, sitter=staying(drawn.sitter, now.pose.q, now.pose.root, reach.side, now.holds))
         placed = self._around.empty(angle).placed
@@ -372,6 +374,21 @@ class Planner:
         if rejection is not None:
             return None
         return _Goal(pose, drawn.sitter.holds)
+
+    def _carried(self, now: _Goal, chosen: Sitter, angle: float) -> tuple[Matrix | None, Matrix | None]:
+        """Where a rim that turns to `angle` (rad) takes palms that were to be near there; None for a new grip."""
+        wheel = self._around.cabin.steering_wheel
+        if wheel is None:
+            return None, None
+        hubs = [rp.matmul(wheel.vehicle_from_wheel, transform(axis_rotation("z", a))) for a in (now.pose.wheel_angle, angle)]
+        palms = self._who.person.pose(now.pose.q, now.pose.root).palms
+        result: list[Matrix | None] = [None, None]
+        for side in (0, 1):
+            if now.holds[side] and chosen.holds[side]:
+                palm = rp.matmul(hubs[1], rp.matmul(invert(hubs[0]), palms["lr"[side]]))
+                if rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < _HELD_M:
+                    result[side] = palm
+        return result[0], result[1]
 
     def _beside(self, time_s: float) -> Floats | None:
         """(3,) m on the bone of the near upper arm of whoever sits beside, at a time; None where nobody does.

@@ -125,6 +125,15 @@ def staying(chosen: Sitter, q: Floats, root: Matrix, side: int, holds: tuple[boo
     return chosen._replace(goals=goals, q=q, root=root.copy(), holds=stay)
 
 
+def holding(chosen: Sitter, palms: tuple[Matrix | None, Matrix | None]) -> Sitter:
+    """The same person with hands that hold on: `vehicle_from_palm` (4, 4) of each, None of a hand that goes where it was to."""
+    target, weight, base = chosen.goals.target.copy(), chosen.goals.weight.copy(), chosen.goals.base.copy()
+    for row, palm in enumerate(palms):
+        if palm is not None:
+            target[row], weight[row], base[row] = palm, _STAYS, -1
+    return chosen._replace(goals=chosen.goals._replace(target=target, weight=weight, base=base))
+
+
 def as_recorded(chosen: Sitter, posture: Floats, upper_body: list[int], weight: float) -> Sitter:
     """The same person with an upper body as near to `posture` (D,) rad as car and body allow, by `weight` (1/rad)."""
     stiffness, tasks = chosen.goals.stiffness.copy(), chosen.goals.weight.copy()
