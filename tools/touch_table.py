@@ -1,6 +1,6 @@
 """How near hands and what they hold come to what they are to touch: a table of the rendered surfaces, action by action.
 
-    python tools/touch_table.py --scenes 60 > docs/baseline/touch.json
+    python tools/touch_table.py --scenes 40 > touch.json
     python tools/touch_table.py --scenes 60 --only gear drink
 
 Draws valid scenes as `cabinpose synth` does, each with one action asked for, leaves the rendering out, and prints a table on

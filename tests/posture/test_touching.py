@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cabinpose.scene.body import SEGMENTS
+from cabinpose.scene.body import DOF_INDEX, SEGMENTS
 from cabinpose.scene.contact import FLESH_M
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.posture.hands import clocks, regripped, turned_wheel
@@ -44,6 +44,21 @@ def test_a_hand_touches_the_part_that_it_goes_to(action: str, name: str) -> None
     assert scene.cabin is not None
     part = next(part for part in scene.cabin.parts if part.name == name)
     assert -FLESH_M <= gap_m(scene, part.surface.vertices, part.surface.faces) <= TOUCHING_M
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("action", "dof", "given", "held"),
+    [("reach_infotainment", "lumbar.flexion", 5.0, np.radians(5.0)), ("gear", "rhand.grip", 0.9, 0.9)],
+)
+def test_what_a_profile_holds_stays_when_a_hand_is_brought_near(action: str, dof: str, given: float, held: float) -> None:
+    profile = {"kind": "gaussian", "axes": {dof: {"mean_deg": given, "sigma_deg": 0.0}}}
+    driver = {"action": action, "profile": profile}
+    told = {"kind": "cabin", "cars": ["hatchback"], "right_hand_drive": 0.0, "occupants": {"driver": driver}, "occupancy": {}}
+    sampler = SceneSampler(SynthConfig.model_validate({"scene": told}), 3)
+    for index in range(8):
+        scene = sampler.sample(index, rng=frame_rng(3, index))
+        assert scene.people[0].posed.q[DOF_INDEX[dof]] == pytest.approx(held, abs=1e-9)
 
 
 @pytest.mark.slow

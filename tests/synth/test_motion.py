@@ -29,7 +29,7 @@ from cabinpose.synth.motion.activities import activities_for
 from cabinpose.synth.motion.film import EYES_LEAD_S
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taking_palm
 from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
-from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, Surroundings
+from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, WHEEL_LIMIT, Surroundings
 from cabinpose.synth.motion.track import CLOSING_S, WIDTH, Held, duration, way_through
 from cabinpose.synth.posture.grasps import OPEN_HAND, Grasp, Hold, hold
 from cabinpose.synth.posture.places import GIVE, TAKE
@@ -341,6 +341,13 @@ def test_hands_stay_on_the_wheel_that_turns(film) -> None:
             assert np.ptp(along) < 0.004
             turned = max(turned, np.ptp(angles))
     assert turned > np.radians(3.0)
+
+
+def test_wheels_of_sequences_begin_no_farther_turned_than_they_are_steered() -> None:
+    for seed in range(4):
+        sampler = SceneSampler(small_config(occupancy={"driver": 1.0}, sequence={"frames": 2, "rate_hz": RATE}), seed)
+        for number in range(3):
+            assert abs(sampler._films.film(number).wheel_angle(0.0)) <= WHEEL_LIMIT
 
 
 def test_frames_of_a_sequence_belong_together(tmp_path: Path) -> None:

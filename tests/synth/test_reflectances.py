@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cabinpose.core import OCCUPANT_SLOTS
-from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
+from cabinpose.scene import DYES, HAIR, LABEL_ID, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype, hair_shares
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, sensor_by_name, simulate
 from cabinpose.store import AXES
@@ -124,7 +124,7 @@ CAR: Mapping[str, Any] = {
 
 
 def test_amplitudes_are_those_of_the_labels() -> None:
-    """From amplitude, depth and incidence each person's reflectance follows, which the label states; so does the car's seat."""
+    """From amplitude, depth and incidence each person's reflectance follows, which the label states."""
     maker = FrameMaker(SynthConfig.parse(CAR), 3)
     frame, scene = maker.make(0)
     sensor = maker.config.camera.sensor_model
@@ -152,6 +152,24 @@ def test_amplitudes_are_those_of_the_labels() -> None:
                 checked += 1
         start += sum(len(each.faces) for each in who.surfaces)
     assert checked >= 3
+
+
+def test_the_dye_of_a_car_is_on_the_car_alone() -> None:
+    """A toddler seat of hard plastic in a car whose plastic is drawn: the one reflects as its material, the other as its coat."""
+    plastic = MATERIAL_ID["hard_plastic"]
+    scene_of = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "child_seats": {"rear_left": "toddler"}}
+    maker = FrameMaker(SynthConfig.parse({"scene": scene_of}), 0)
+    _, scene = maker.make(0)
+    surface = scene.surface()
+    found = maker._reflectances.of(scene, surface)
+    reflects = material_table(True, True, 0.0, 0.0, 850, found.coats)[found.surface.material, 0]
+    (drawn_plastic,) = {coat.reflectance for coat in found.coats if coat.material == plastic}
+    of_car = np.arange(len(surface.faces)) < len(scene.backdrop.faces)
+    of_seat = (surface.material == plastic) & (surface.label == LABEL_ID["child_seat"])
+    assert of_seat.any()
+    np.testing.assert_allclose(reflects[of_seat], MATERIALS[plastic].reflectance, rtol=1e-6)
+    np.testing.assert_allclose(reflects[of_car & (surface.material == plastic)], drawn_plastic, rtol=1e-6)
+    assert abs(drawn_plastic - MATERIALS[plastic].reflectance) > 0.01
 
 
 def test_coats_stand_in_place_of_materials_and_wavelengths_choose_columns() -> None:

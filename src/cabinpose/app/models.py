@@ -12,6 +12,7 @@ import xarray as xr
 from cabinpose.core import (
     ANATOMY,
     CABINPOSE,
+    JOINT_DEFINITIONS,
     Camera,
     ConfigError,
     DriveSide,
@@ -111,8 +112,8 @@ def _fed(lifting: Lifter, dataset: xr.Dataset, source: str, dataset_names: Seque
     else:
         base = read_predictions(source)
         check_predictions(base, dataset, dataset_names)
-    placed = dataset_skeleton(dataset)
-    if base.skeleton == CABINPOSE.name and not base.joint_definition and has_joint_map(placed, CABINPOSE):
+    placed = JOINT_DEFINITIONS.get(base.joint_definition) or dataset_skeleton(dataset)
+    if base.skeleton == CABINPOSE.name and has_joint_map(placed, CABINPOSE):
         base = replace(base, joints_2d=told_as(base.joints_2d, base.joints, placed, CABINPOSE), joint_definition=ANATOMY)
     numbers = dataset["frame"].values.astype(np.int64)
     found = lifted(base.take(numbers), base.joints, _cameras(dataset), lifting, base.model)

@@ -100,7 +100,15 @@ def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predicto
         told = ", ".join(sorted(says))
         raise PredictionsError(f"the models' joints are of different definitions: {told}", hint="evaluate them one by one")
     meant = [ours.marked_by(JOINT_DEFINITIONS[stated].definition) for stated in says] if name == CABINPOSE.name else []
-    return next((each for each in meant if has_joint_map(known, each)), ours.marked_by(known.definition))
+    for each in meant:
+        if has_joint_map(known, each):
+            return each
+        if known.definition and known.definition != each.definition:
+            raise PredictionsError(
+                f"the models' joints are those of {each.definition}, the dataset's of {known.definition}: no table leads there",
+                hint="tell the predictions as anatomy's first (`cabinpose.core.told_as`)",
+            )
+    return ours.marked_by(known.definition)
 
 
 def truth_of(dataset: xr.Dataset, skeleton: Skeleton) -> xr.Dataset:

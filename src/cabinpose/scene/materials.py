@@ -130,13 +130,14 @@ DYES: Mapping[str, tuple[Dye, ...]] = MappingProxyType(
         ),
         "seat_fabric": (Dye("disperse", 0.65, 0.35, 0.60, 1.09), _carbon(0.35)),
         "seat_leather": (
-            Dye("dyed through", 0.4, 0.25, 0.55), Dye("carbon finish", 0.35, 0.05, 0.12), Dye("cool pigment", 0.25, 0.20, 0.40)
+            Dye("dyed through", 0.4, 0.25, 0.55), Dye("carbon finish", 0.35, 0.05, 0.12, to_the_eye=True),
+            Dye("cool pigment", 0.25, 0.20, 0.40),
         ),
-        "soft_trim": (Dye("carbon black", 0.6, 0.02, 0.06), Dye("cool pigment", 0.4, 0.15, 0.40)),
-        "hard_plastic": (Dye("carbon black", 0.7, 0.02, 0.06), Dye("cool pigment", 0.3, 0.15, 0.40)),
+        "soft_trim": (Dye("carbon black", 0.6, 0.02, 0.06, to_the_eye=True), Dye("cool pigment", 0.4, 0.15, 0.40)),
+        "hard_plastic": (Dye("carbon black", 0.7, 0.02, 0.06, to_the_eye=True), Dye("cool pigment", 0.3, 0.15, 0.40)),
         "headliner": (Dye("undyed", 1.0, 0.50, 0.75, 1.04),),
         "carpet": (Dye("acid", 0.5, 0.40, 0.60, 1.04), _carbon(0.5)),
-        "steering_leather": (Dye("carbon finish", 0.7, 0.05, 0.12), Dye("dyed through", 0.3, 0.25, 0.55)),
+        "steering_leather": (Dye("carbon finish", 0.7, 0.05, 0.12, to_the_eye=True), Dye("dyed through", 0.3, 0.25, 0.55)),
     }
 )  # fmt: skip
 

@@ -5,7 +5,7 @@ Columns: `frame` (number in the dataset), `person` (slot), `joint` (name), `u`, 
 all three, or null), `score`, `presence` (0..1), `expected_error_m` (m, or null). A frame in which nobody can be seen has one row
 of `frame` and `reason`, behind all joints. The header holds `format`, `version`, `model`, `skeleton`, `joints`, `persons`, and,
 where the writer knows them, `dataset`, `remarks`, `trained_on`, the frames that the model was trained on ("0-84 90"), and
-`joint_definition`, "anatomy" where joints lie as docs/joints.md has them.
+`joint_definition`, "anatomy" where joints lie as docs/joints.md has them, "plug_in_gait" where as Plug-in Gait.
 In JSON lines the header is the first line and `{"rows": n}` the last, so that a file cut short is noticed; in Parquet the header
 is the value of the key `cabinpose` of the file's metadata.
 
@@ -48,7 +48,7 @@ class Predictions(NamedPoses):
 
     persons: (P,) slots · joints: (J,) names · dataset: id or folder name of the dataset, where the writer knew it · trained_on:
     ranges of the dataset's frames that the model was trained on, as `frame_ranges` writes them, as far as it is known ·
-    joint_definition: `core.ANATOMY`, or "" where the joints are taken to be placed as the dataset's are.
+    joint_definition: of `core.JOINT_DEFINITIONS`, or "" where the joints are taken to be placed as the dataset's are.
     """
 
     frame: NDArray[np.int64]

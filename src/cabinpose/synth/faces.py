@@ -18,6 +18,7 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, Face, load_faces
 from cabinpose.scene.cabin import Cabin
 from cabinpose.synth.gaze import ASLEEP, line_of_sight
+from cabinpose.synth.posture import FREE_POSES
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.streams import face_rng
 
@@ -49,7 +50,7 @@ _ASLEEP = {"neutral": Expression(0.7, {}), "mouth_open": Expression(0.3, {"jawOp
 _SIDES_DIFFER = 0.15  # of a unit's share
 _DROWSY, _DROWSY_LIDS, _AWAKE_LIDS = 0.02, (0.3, 0.6), (0.85, 1.0)
 DROWSY_OPENING = 0.7  # of the lids, below which somebody awake is drowsy
-# By which eyes turn in the head: 55 deg to the sides (Guitton & Volle 1987); up and down assumed.
+# By which eyes turn in the head: 55 deg to the sides as Guitton & Volle 1987 are quoted, up and down: all assumed.
 _SIDEWAYS, _UP, _DOWN = math.radians(55.0), math.radians(35.0), math.radians(45.0)
 _BUSY_MOUTH_M = 0.25  # from the eyes to a palm, of a hand at the mouth or the face, which then is neutral (assumed)
 _TALKS_YEARS = 1.0
@@ -108,7 +109,7 @@ def _gaze(person: ScenePerson, cabin: Cabin | None) -> tuple[float, float, float
 
 
 def _heading(person: ScenePerson, cabin: Cabin | None) -> float:
-    if cabin is not None:
+    if cabin is not None and person.action not in FREE_POSES:
         return cabin.seats[person.slot].facing_yaw
     ahead: Floats = person.posed.vehicle_from_root[:3, 0]
     return float(rp.arctan2(ahead[1], ahead[0]))

@@ -36,7 +36,7 @@ class ExactFace(Model):
 
     gaze: tuple[float, float, float] = Field((1.0, 0.0, 0.0), description="Unit vector of the line of sight: ahead, left, up.")
     lids: tuple[Probability, Probability] = Field((1.0, 1.0), description="Opening of the left and right eye, 0 to 1.")
-    expression: str = Field("neutral", description="Its name, as it is labelled.")
+    expression: str = Field("neutral", min_length=1, description="Its name, as it is labelled.")
     units: Mapping[str, Probability] = Field({}, description="Shares of face units, e.g. jawOpen: 0.4.")
 
     @field_validator("gaze")

@@ -19,7 +19,7 @@ from cabinpose.synth.streams import own_rng, weighted
 
 WORN = ("skin", "hair", "top", "bottom", "shoes", "socks", "headwear", "top_print", "bottom_print")
 """Surfaces of a person that have a colour, and a reflectance, of their own."""
-NOT_WORN = 255  # of soles and glasses, which are of their material
+NOT_WORN = 255  # of soles, glasses, eyes and mouths, which are of their material
 
 # Monk skin tone scale (Monk 2019, CC BY 4.0), sRGB.
 _SKIN: tuple[int, ...] = (

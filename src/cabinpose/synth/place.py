@@ -17,7 +17,8 @@ from cabinpose.synth.streams import noise_rng
 
 FEWEST_VALID = 0.5  # of the pixels
 LEAST_OF_SEAT = 0.25  # of an occupant's places, from which on a seat counts as seen
-_TOUCHED = [LABEL_ID[name] for name in ("seat", "headrest", "steering_wheel", "pedal")]  # parts that people sit on and hold
+# Parts that people sit on, hold and reach for.
+_TOUCHED = [LABEL_ID[name] for name in ("seat", "headrest", "steering_wheel", "pedal", "console", "screen")]
 _LEAST_OF_TOUCHED = 0.01  # of the pixels; below, and without a seat, a camera looks at a wall
 _ROWS = 72  # of the image that is looked at, about
 _WORTH_TELLING = 0.1  # share of the pixels that deliver nothing for one reason
@@ -35,7 +36,8 @@ class PlaceReport:
 
     car, view: which place · valid: share of the pixels in its image circle that deliver a depth · seats: by seat the share of the
     places of an occupant's head, shoulders, trunk and hands that are in the image, in range and behind nothing · doubts: what
-    speaks against the place, in words · blind: whether it sees neither a seat nor what people hold.
+    speaks against the place, in words · blind: whether it sees neither a seat nor anything that people hold or
+    reach for.
     """
 
     car: str
@@ -111,8 +113,9 @@ def judge_place(
     if told and outside:  # a mesh may be no more than seats, and a place beside it a good one
         low, high = cabin.bounds.round(2).tolist()
         told.insert(0, f"it is outside of the car, which reaches from {low} to {high} m (x forward, y left, z up)")
+    known = np.isin(cabin.surface(settings).label, _TOUCHED).any()  # of own meshes nothing may be
     touched = float((np.isin(rendered.labels, _TOUCHED) & np.isfinite(depth))[field].mean()) if field.any() else 0.0
-    return dataclasses.replace(report, doubts=tuple(told), blind=not report.seen and touched < _LEAST_OF_TOUCHED)
+    return dataclasses.replace(report, doubts=tuple(told), blind=bool(known) and not report.seen and touched < _LEAST_OF_TOUCHED)
 
 
 def reduced(sensor: Sensor) -> Sensor:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import ConfigError, Floats
+from cabinpose.core import ConfigError, DriveSide, Floats
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import SEATS_OF_ALL, VIEWS_OF_ALL, Cabin
 from cabinpose.scene.contact import ContactField
@@ -77,26 +77,38 @@ def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> tuple[Pl
     if scene.factorial is not None and scene.factorial.seat == "driver":
         _check_drivers(config.people, plan.subjects)
     reports: list[PlaceReport] = []
-    for car in _cars_in_doubt(config, scene, plan):
+    side: DriveSide = "right" if scene.right_hand_drive == 1.0 else "left"
+    for car in _cars_in_doubt(config, scene, plan, side):
         _check_seats(scene, car)
         _check_actions(scene, car)
         _check_views(config, car)
         reports += _judged_views(config, car)
     if not reports and not isinstance(config.camera.sensor, str) and scene.cars:
         first = scene.cars[0]
-        cabin = open_cabin(first.dimensions if isinstance(first, ChangedPreset) else first, "left")
+        cabin = open_cabin(first.dimensions if isinstance(first, ChangedPreset) else first, side)
         reports += _judged_views(config, _Car(cabin.name, cabin, (), ours=False))
-    for name in config.camera.weights:
-        of_view = [report for report in reports if report.view == name]
-        if of_view and all(report.blind for report in of_view):
-            raise ConfigError(
-                f"view '{name}' sees nobody in {of_view[0].car}: {'; '.join(of_view[0].doubts)}",
-                hint="x is forward, y left, z up, seats are at negative x (m); `cabinpose config views CAR` prints good places",
-            )
+    _refuse_blind(config, scene, plan, reports)
     for report in reports:
         if report.doubts:
             warnings.warn(f"view '{report.view}' in {report.car}: {'; '.join(report.doubts)}", stacklevel=2)
     return tuple(reports)
+
+
+def _refuse_blind(config: SynthConfig, scene: CabinScene, plan: Plan, reports: Sequence[PlaceReport]) -> None:
+    """Refuses a view that is blind in every car, on whichever side the wheel may be."""
+    cars = len(scene.cars) + bool(scene.random_cars)
+    for name in config.camera.weights:
+        of_view = [report for report in reports if report.view == name]
+        if len(of_view) < cars or not all(report.blind for report in of_view):
+            continue
+        if 0.0 < scene.right_hand_drive < 1.0:
+            mirrored = [one for car in _cars_in_doubt(config, scene, plan, "right") for one in _judged_views(config, car)]
+            if not all(report.blind for report in mirrored if report.view == name):
+                continue
+        raise ConfigError(
+            f"view '{name}' sees nobody in {of_view[0].car}: {'; '.join(of_view[0].doubts)}",
+            hint="x is forward, y left, z up, seats are at negative x (m); `cabinpose config views CAR` prints good places",
+        )
 
 
 def _check_memory(config: SynthConfig, workers: int) -> None:
@@ -160,21 +172,21 @@ def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
     return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
 
 
-def _cars_in_doubt(config: SynthConfig, scene: CabinScene, plan: Plan) -> Iterator[_Car]:
+def _cars_in_doubt(config: SynthConfig, scene: CabinScene, plan: Plan, side: DriveSide) -> Iterator[_Car]:
     """The cars that are built beforehand; warns of open meshes."""
     unusual = not _every_car_has(config, scene)
     for car in scene.cars:
         if isinstance(car, ChangedPreset):
-            cabin = open_cabin(car.dimensions, "left")
+            cabin = open_cabin(car.dimensions, side)
             yield _Car(car.name, cabin, tuple(cabin.seats), ours=False)
         elif is_car_file(car) or (unusual and not is_random_car(car)):
-            cabin = open_cabin(car, "left")
+            cabin = open_cabin(car, side)
             for warning in cabin.warnings:
                 warnings.warn(f"{Path(car).name}: {warning}", stacklevel=3)
             yield _Car(car, cabin, tuple(cabin.seats), ours=not is_car_file(car))
     # The seats, actions and views of random cars are the same in all of them: one stands for all.
     if unusual and any(is_random_car(car) for car in plan.cabins.names):
-        cabin = open_cabin(car_dimensions(0, "C0000").model_copy(update={"rear_places": 3}), "left")
+        cabin = open_cabin(car_dimensions(0, "C0000").model_copy(update={"rear_places": 3}), side)
         yield _Car("a random car", cabin, tuple(slot for slot in cabin.seats if slot != "rear_center"), ours=True)
 
 

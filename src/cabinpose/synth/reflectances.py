@@ -25,7 +25,7 @@ from cabinpose.synth.streams import own_rng
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
 _OF_CARS = ("seat_fabric", "seat_leather", "soft_trim", "hard_plastic", "headliner", "carpet", "steering_leather")
 _AT = {material.name: material.at for material in MATERIALS}
-_KEPT = 64  # people and cars that are remembered
+_KEPT = 32  # people and cars that are remembered
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,12 @@ class Reflectances:
     def of(self, scene: Scene, surface: Surface) -> SceneReflectance:
         """What is seen of a scene; surface: `scene.surface()`."""
         material = surface.material.copy()
-        coats = [] if scene.cabin is None else list(self._car(scene.place))
-        labels = {}
-        start = len(scene.backdrop.faces)
+        start, coats, labels = len(scene.backdrop.faces), list[Coat](), {}
+        if scene.cabin is not None:
+            first = FIRST_COAT + len(scene.people) * len(WORN)
+            for k, coat in enumerate(self._car(scene.place)):
+                material[:start][surface.material[:start] == coat.material] = first + k
+                coats.append(coat._replace(code=first + k))
         for number, who in enumerate(scene.people):
             found = self.person(who.subject, who.person)
             labels[who.slot] = found.labels(who.person.outfit, self._wavelength)

@@ -32,8 +32,8 @@ _MOST = 2.0  # standard deviations
 
 # Eyes, of the data's oversized balls: the radius where lids lie on them, as a share of the rims' least distance from the middle.
 _BALL, _SOCKET = 0.965, 0.15
-# Edges of pupil and iris as angles from the line of sight: an iris of 11.7 mm (the usual width of a cornea), a pupil of 4 mm
-# (assumed) on the ball of the average adult, whose rims leave as much of it open as is usual. Then the ball, to its back.
+# Edges of pupil and iris as angles from the line of sight: an iris of 11.7 mm and a pupil of 4 mm (both assumed) on the ball of
+# the average adult, whose rims leave as much of it open as is usual. Then the ball, to its back.
 _RINGS_DEG = (7.5, 22.0, 40.0, 65.0, 100.0)
 _RING_MATERIALS = ("pupil", "iris", "eye")  # of the first bands; the rest is as the last
 _ROUND = 12

@@ -88,6 +88,8 @@ class Phenotype:
             least = _AGES[0] if name == "age" else 0.0
             if not least <= value <= 1.0:
                 raise ConfigError(f"phenotype {name} is {value}", hint=f"it lies between {least:g} and 1")
+        if self.face < 0:
+            raise ConfigError(f"phenotype face is {self.face}", hint="it is 0 or a positive whole number")
         low, high = STATURE_LIMITS_M
         if self.stature_m is not None and not low <= self.stature_m <= high:
             raise ConfigError(f"a stature of {self.stature_m} m", hint=f"statures from {low} to {high} m")

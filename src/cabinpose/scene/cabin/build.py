@@ -217,8 +217,8 @@ def _reach_targets(layout: Layout, seats: dict[str, Seat]) -> dict[str, Vector]:
         )
         targets["climate"] = np.array([face_x - shape.stack, 0.0, top_z - 0.22])
         targets["glovebox"] = np.array([face_x + shape.passenger - 0.01, -front[1], 0.5 * (low_z + top_z) - 0.05])
-        mirror_z = layout.header_z - 0.105
-        targets["mirror"] = np.array([float(layout.screen_x(np.array(mirror_z))) - 0.13, 0.0, mirror_z])
+        mirror_x, mirror_z = shell.mirror_place(layout)
+        targets["mirror"] = np.array([mirror_x - 0.025, 0.0, mirror_z])
         visor_x = layout.header_x - 0.17
         targets["sun_visor"] = np.array([visor_x, front[1], float(layout.roof(visor_x, front[1])) - 0.04])
         targets["sun_visor_passenger"] = targets["sun_visor"] * (1, -1, 1)

@@ -56,7 +56,7 @@ def _of_products(layout: Layout) -> dict[str, ViewAnchor]:
     console_x = layout.header_x - 0.14
     console_eye = np.array([console_x, 0.0, float(layout.roof_line(console_x)) - _FREE])
     wheel = steering(layout)[0].vehicle_from_wheel
-    column_eye = wheel[:3, 3] - 0.065 * wheel[:3, 2] + 0.107 * wheel[:3, 0]
+    column_eye = wheel[:3, 3] - 0.035 * wheel[:3, 2] + 0.107 * wheel[:3, 0]
     pillar_z = layout.belt_z + 0.20
     pillar_x = float(layout.a_pillar_x(pillar_z)) - _FREE
     pillar_y = float(layout.half_width(pillar_x, pillar_z)) - 0.08

@@ -15,6 +15,7 @@ from .noise_fit import fit_physical as fit_physical
 from .optics import lens_maps as lens_maps
 from .optics import material_table as material_table
 from .physical import NO_EFFECTS as NO_EFFECTS
+from .physical import SUNLIGHT as SUNLIGHT
 from .physical import PhysicalNoise as PhysicalNoise
 from .physical import sample_times as sample_times
 from .placement import jittered as jittered

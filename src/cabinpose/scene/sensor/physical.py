@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from cabinpose._native import sensor as native
-from cabinpose.core import Bools, ConfigError, Floats, Floats32
+from cabinpose.core import Bools, ConfigError, Floats, Floats32, unknown_name
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.materials import Coat, Wavelength
 from cabinpose.scene.sensor.buffers import GeometryBuffers, SensorFrame
@@ -36,8 +36,15 @@ Wiggling = Literal["calibrated", "uncalibrated"]
 WIGGLING: Mapping[str, float] = MappingProxyType({"calibrated": 0.1, "uncalibrated": 0.5})
 
 
+_Share = Annotated[float, Field(ge=0, le=1)]
+
+
 def _by_name(given: object) -> object:
-    return WIGGLING.get(given, given) if isinstance(given, str) else given
+    if not isinstance(given, str):
+        return given
+    if given not in WIGGLING:
+        raise unknown_name("wiggling", given, tuple(WIGGLING))
+    return WIGGLING[given]
 
 
 class PhysicalNoise(EdgeRule):
@@ -58,7 +65,7 @@ class PhysicalNoise(EdgeRule):
         default=True, description="Use the sensor's second modulation frequency, where it has one, to unwrap."
     )
     consistency: bool = Field(default=True, description="Pixels whose two phases belong to no single distance are invalid.")
-    wiggling: Annotated[float, Field(ge=0, le=1), BeforeValidator(_by_name, json_schema_input_type=float | Wiggling)] = Field(
+    wiggling: Annotated[_Share, BeforeValidator(_by_name, json_schema_input_type=_Share | Wiggling)] = Field(
         default=0.1,
         description="Share of a triangular correlation left: calibrated (0.1), uncalibrated (0.5), or 0..1; 1 = up to 4.07"
         " degrees of error.",
@@ -175,7 +182,7 @@ NO_EFFECTS = PhysicalNoise(  # a camera without noise
 
 _LEAST_AMBIENT = 1e-3  # of the table of materials that sunlight multiplies
 # Sunlight at the ground in 20 nm about a wavelength, of that at 850 nm: ASTM G173-03, 0.303 and 0.977 W/m2/nm.
-_SUNLIGHT: Mapping[Wavelength, float] = MappingProxyType({850: 1.0, 940: 0.31})
+SUNLIGHT: Mapping[Wavelength, float] = MappingProxyType({850: 1.0, 940: 0.31})
 _PATTERN_STREAM = 0xF1ED  # of a camera's seed: apart from the streams of frames
 _NO_INDIRECT = np.zeros((0, 0, 0), np.float32)
 
@@ -196,7 +203,7 @@ class _ContinuousWave(NamedTuple):
 
 
 def _table(sensor: Sensor, noise: PhysicalNoise, coats: tuple[Coat, ...] = ()) -> Floats32:
-    share = _SUNLIGHT[sensor.wavelength_nm]
+    share = SUNLIGHT[sensor.wavelength_nm]
     return material_table(
         noise.reflectance, noise.glass, share * noise.ambient, share * noise.daylight, sensor.wavelength_nm, coats
     )

@@ -52,7 +52,7 @@ _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
 _HASTE = 1.5  # of who brings or fetches something, against the usual speed
 _WAITS_S, _SHORT_S, _MEETS_S = 2.5, 0.1, 0.3  # for who is to take something, at most; any moment; hands beside each other
 _ASIDE_M, _LINGERS_S = 0.07, 0.5  # of a hand that comes to a thing in another one; until that one, empty, goes
-_WHEEL_SIGMA, _WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
+_WHEEL_SIGMA, WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
 
 # The goals of one person: an action, the wheel's angle, what is held, a number (other feet and grips with each), the time (s),
 # and where hands reach.
@@ -351,7 +351,7 @@ class Planner:
         """A pose for a step that is possible in itself; reach: where hands go, in place of a neighbour's arm."""
         angle = now.pose.wheel_angle
         if step.steers:
-            angle = float(np.clip(angle + _WHEEL_SIGMA * self._rng.standard_normal(), -_WHEEL_LIMIT, _WHEEL_LIMIT))
+            angle = float(np.clip(angle + _WHEEL_SIGMA * self._rng.standard_normal(), -WHEEL_LIMIT, WHEEL_LIMIT))
         point = self._beside(time_s) if step.at_neighbour else None
         reach = reach if point is None else Reach(point)
         hold = self._track.hold
@@ -362,7 +362,9 @@ class Planner:
         if step.steers:
             drawn = replace(drawn, sitter=holding(drawn.sitter, self._carried(now, drawn.sitter, angle)))
         if reach is not None and reach.side is not None:
-            drawn = replace(drawn, sitter=staying(drawn.sitter, now.pose.q, now.pose.root, reach.side, now.holds))
+            touches = tuple(touch for touch in drawn.touches if touch.side == reach.side)
+            stays = staying(drawn.sitter, now.pose.q, now.pose.root, reach.side, now.holds)
+            drawn = replace(drawn, sitter=stays, touches=touches)
         placed = self._around.empty(angle).placed
         (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
         if found.refused:

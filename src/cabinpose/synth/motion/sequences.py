@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
 from cabinpose.synth.motion.activities import RECORDED, activities_for, inboard_neighbour, program_of, resting
 from cabinpose.synth.motion.config import SequenceConfig
-from cabinpose.synth.motion.planner import Planner, Somebody, Surroundings
+from cabinpose.synth.motion.planner import WHEEL_LIMIT, Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
 from cabinpose.synth.posing import Posing
 from cabinpose.synth.posture.actions import IN_CHILD_SEAT, OWN_ACTIONS, inboard_side
@@ -91,7 +92,10 @@ def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attemp
 
     def first_goals(slot: str) -> Drawn:
         habits[slot] = habits[slot] % (_DRAWS - 1) + 1
-        return goals(slot, actions[slot], None, holds[slot])
+        drawn = goals(slot, actions[slot], None, holds[slot])
+        if drawn.wheel_angle is None or abs(drawn.wheel_angle) <= WHEEL_LIMIT:
+            return drawn
+        return goals(slot, actions[slot], math.copysign(WHEEL_LIMIT, drawn.wheel_angle), holds[slot])
 
     def goals(
         slot: str, action: str, wheel_angle: float | None, hold: Hold | None, number: int = 0, time_s: float = 0.0,

@@ -12,7 +12,7 @@ import numpy as np
 from cabinpose.core import Bytes, Floats, Floats32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import Surface
-from cabinpose.scene.sensor import Sensor, lens_maps
+from cabinpose.scene.sensor import SUNLIGHT, Sensor, lens_maps
 from cabinpose.synth.person_look import look_of
 from cabinpose.synth.pictures.denoise import denoised
 from cabinpose.synth.pictures.grid import FINER, Hits, grid_of, hits, without_panes
@@ -69,7 +69,8 @@ class PictureMaker:
         if "rgb" in self._images.variables:
             result["rgb"] = develop(self._radiance(scene, surface, self._look(scene), light, found, seeds[0]), _KEY[light.kind])
         if "nir" in self._images.variables:
-            seen = self._radiance(scene, surface, reflectance, _infrared(light), found, seeds[1])
+            infrared = _infrared(light, SUNLIGHT[self._sensor.wavelength_nm])
+            seen = self._radiance(scene, surface, reflectance, infrared, found, seeds[1])
             result["nir"] = _exposed(seen[..., 1], self._sensor, rng=rng)
         return result
 
@@ -140,10 +141,14 @@ def _glow(scene: Scene) -> Floats | None:
     return None if wheel is None else np.asarray(wheel.vehicle_from_wheel[:3, 3]) + (-0.1, 0.0, 0.1)
 
 
-def _infrared(light: Light) -> Light:
-    """The light at 850 nm, in radiance of white by the camera's own light from 1 m."""
-    grey = (rp.matmul(light.dome, _LUMINANCE.astype(np.float32)) * np.float32(light.infrared))[..., None].repeat(3, axis=-1)
-    sun = None if light.sun is None else (light.sun[0], np.full(3, rp.matmul(light.sun[1], _LUMINANCE) * light.infrared))
+def _infrared(light: Light, sunlight: float) -> Light:
+    """The light at the camera's wavelength, in radiance of white by the camera's own light from 1 m.
+
+    sunlight: share of that at 850 nm which sun and sky have there.
+    """
+    share = light.infrared * sunlight
+    grey = (rp.matmul(light.dome, _LUMINANCE.astype(np.float32)) * np.float32(share))[..., None].repeat(3, axis=-1)
+    sun = None if light.sun is None else (light.sun[0], np.full(3, rp.matmul(light.sun[1], _LUMINANCE) * share))
     return Light(light.kind, light.words, grey, sun, own=1.0)
 
 

@@ -165,18 +165,23 @@ def turn_head(person: Person, q: Floats, root: Matrix, head: Matrix) -> None:
     q[:] = at_goals(Sitter(person, "", goals, q, root))
 
 
-def hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats) -> Floats:
+def hand_to(
+    person: Person, q: Floats, root: Matrix, side: int, place: Floats, *, bounds: tuple[Floats, Floats] = (LOWER, UPPER)
+) -> Floats:
     """The posture q (D,) rad with a palm (0 left, 1 right) brought to `place` (3,) m, vehicle frame.
 
     Its arm alone goes there; where it is too short, the trunk bends after it, the other hand stays and the head looks where it
-    looked. The palm keeps its direction as far as the arm likes. Limits hold; whatever is in the way is not seen.
+    looked. The palm keeps its direction as far as the arm likes. `bounds` (2 times (D,) rad) hold; whatever is in the way
+    is not seen.
     """
-    alone = _hand_to(person, q, root, side, place, leaning=False)
+    alone = _hand_to(person, q, root, side, place, bounds, leaning=False)
     missed = rp.norm(frames(alone, person.rest, root).palms[side][:3, 3] - place)
-    return alone if missed < _IN_REACH_M else _hand_to(person, q, root, side, place, leaning=True)
+    return alone if missed < _IN_REACH_M else _hand_to(person, q, root, side, place, bounds, leaning=True)
 
 
-def _hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats, *, leaning: bool) -> Floats:
+def _hand_to(
+    person: Person, q: Floats, root: Matrix, side: int, place: Floats, bounds: tuple[Floats, Floats], *, leaning: bool
+) -> Floats:
     free = np.zeros(len(q), bool)
     stiffness = np.zeros(len(q))
     if leaning:
@@ -193,7 +198,7 @@ def _hand_to(person: Person, q: Floats, root: Matrix, side: int, place: Floats, 
         other = "rl"[side]
         rows.append((other + "hand", person.rest.palms[1 - side], "", posed.palms[1 - side], _STAYS))
         rows.append(("head", np.eye(4), "", posed.bone("head"), _ON_GAZE))
-    lower, upper = np.where(free, LOWER, q), np.where(free, UPPER, q)
+    lower, upper = np.where(free, bounds[0], q), np.where(free, bounds[1], q)
     goals = Goals(q, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
     return at_goals(Sitter(person, "", goals, q.copy(), root))
 

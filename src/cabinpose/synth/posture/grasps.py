@@ -209,10 +209,12 @@ def _encloses(touching: Floats) -> bool:
     return rp.norm(around.mean(axis=0)) < _ONE_SIDED
 
 
-def fingers_closed_on(person: Person, mesh: TriangleMesh, vehicle_from_palm: Matrix, side: int) -> Floats:
+def fingers_closed_on(
+    person: Person, mesh: TriangleMesh, vehicle_from_palm: Matrix, side: int, *, shell_m: float = 0.0
+) -> Floats:
     """(5,) curl of fingers that close from the open hand until each touches a surface (vehicle frame); loose where none does.
 
-    side: 0 left, 1 right · vehicle_from_palm: of that hand, (4, 4).
+    side: 0 left, 1 right · vehicle_from_palm: of that hand, (4, 4) · shell_m: thickness of an open surface, felt on both sides.
     """
     hand, curl = _hand(person), _LOOSE.copy()
     mirror = np.diag((1.0, 1.0 - 2.0 * side, 1.0, 1.0))
@@ -223,7 +225,8 @@ def fingers_closed_on(person: Person, mesh: TriangleMesh, vehicle_from_palm: Mat
 
         def met(rows: slice, mine: Floats32 = mine) -> Ints:
             points = apply(from_skin, mine[rows].reshape(-1, 3).astype(np.float64))
-            return np.flatnonzero(mesh.signed_distance(points, _TOUCHES_M).reshape(-1, mine.shape[1]).min(axis=1) < 0.0)
+            distance = mesh.signed_distance(points, _TOUCHES_M + shell_m).reshape(-1, mine.shape[1]).min(axis=1)
+            return np.flatnonzero(distance < shell_m)
 
         coarse = met(slice(0, None, _COARSE))
         if len(coarse):

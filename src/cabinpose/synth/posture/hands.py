@@ -165,7 +165,7 @@ def clocks(key: float, *, alone: bool) -> Floats:
     drawn = np.radians(
         30.0 * np.array([12.0 - rng.choice(hours, p=shares) for _ in (0, 1)]) + _CLOCK_SIGMA_DEG * rng.standard_normal(2)
     )
-    return np.asarray(drawn * (1.0, -1.0))
+    return np.clip(drawn, _LITTLE - _LOWEST, _LOWEST - _LITTLE) * (1.0, -1.0)
 
 
 def turned_wheel(normal: float, *, driving: bool) -> float:

@@ -205,6 +205,8 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     must = [hand.place.miss_m for hand in hands] + [MISS_M if foot.must else math.inf for foot in feet] + [math.inf]
     angle = None if seated.wheel is None else wheel_angle
     touches = tuple(t for side in (0, 1) if (t := _touch(seated, hands[side], side, held)) and who.goals.weight[side].any())
+    kept = {side for p in (prescribed.initial, prescribed.profile) if p is not None for side in (0, 1) if _names_grip(p, side)}
+    touches = tuple(touch._replace(grasps=touch.grasps and touch.side not in kept) for touch in touches)
     return Drawn(who, name, angle, np.array(must), seat.h_point(seated.setting), fingers, held, touches)
 
 

@@ -121,15 +121,16 @@ def meet(who: Sitter, touch: Touch, fingers: Floats, hold: Hold | None, placed: 
     if touch.grasps:
         fingers = fingers.copy()
         fingers[touch.side] = (*OPEN_HAND, np.nan)
+    bounds = who.goals.lower, who.goals.upper
     for _ in range(_ROUNDS):
         shift = _shift(_meetings(who, touch, fingers, hold, part))
         if shift is None or rp.norm(shift) < _CLOSE_M:
             break
         palm = frames(who.q, who.person.rest, who.root).palms[touch.side]
-        who.q[:] = hand_to(who.person, who.q, who.root, touch.side, palm[:3, 3] + shift)
+        who.q[:] = hand_to(who.person, who.q, who.root, touch.side, palm[:3, 3] + shift, bounds=bounds)
     if touch.grasps and part is not None:
         palm = frames(who.q, who.person.rest, who.root).palms[touch.side]
-        curl = fingers_closed_on(who.person, part.mesh, palm, touch.side)
+        curl = fingers_closed_on(who.person, part.mesh, palm, touch.side, shell_m=part.shell_m)
         fingers[touch.side] = (*curl, np.nan)
         who.q[DOF_INDEX["lr"[touch.side] + "hand.grip"]] = max(float(curl[1:].min()), _LEAST_GRIP)
     return fingers
