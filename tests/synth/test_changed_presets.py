@@ -18,6 +18,7 @@ from cabinpose.synth.cabins import car_names
 from cabinpose.synth.cars import ChangedPreset
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_config, without_defaults
+from cabinpose.synth.frame_maker import FrameMaker
 from cabinpose.synth.generate import generate
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
@@ -42,6 +43,15 @@ def test_nothing_changed_is_the_preset(preset: str) -> None:
     one, other = car.surface(), build_cabin(preset).surface()
     for name in ("vertices", "normals", "faces", "label", "material"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def test_a_changed_preset_keeps_its_trim_in_every_image() -> None:
+    frames = []
+    for car in ("suv", {"preset": "suv", "name": "mine"}):
+        frame, scene = FrameMaker(small_config(cars=[car], right_hand_drive=0.0), 1).make(0)
+        frames.append((frame["amplitude"], scene.trim))
+    np.testing.assert_array_equal(frames[0][0], frames[1][0])
+    assert frames[0][1] == frames[1][1] == "suv"
 
 
 def test_changes_are_where_they_are_measured() -> None:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.cars import place_name
+from cabinpose.synth.cars import ChangedPreset, place_name
 from cabinpose.synth.casting import Cast, Casting
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.faces import with_faces
@@ -29,6 +29,7 @@ class CarScenes:
         """scene: that of the configuration."""
         self.scene = scene
         self.posing = Posing(scene, config.limits.poses_per_person)
+        self._presets = {car.name: car.preset for car in scene.cars if isinstance(car, ChangedPreset)}
         self._casting, self._furnishing = Casting(scene, plan), Furnishing(scene)
         self._camera, self._plan = config.camera, plan
 
@@ -90,6 +91,7 @@ class CarScenes:
             people=seen,
             world_from_camera=viewpoint.vehicle_from_camera,
             place=place_name(cast.car),
+            trimmed_as=self._presets.get(cast.car, ""),
             pov=viewpoint.view,
             cabin=cast.cabin,
             settings=cast.settings,

@@ -75,7 +75,7 @@ class Reflectances:
         start, coats, labels = len(scene.backdrop.faces), list[Coat](), {}
         if scene.cabin is not None:
             first = FIRST_COAT + len(scene.people) * len(WORN)
-            for k, coat in enumerate(self._car(scene.place)):
+            for k, coat in enumerate(self._car(scene.trim)):
                 material[:start][surface.material[:start] == coat.material] = first + k
                 coats.append(coat._replace(code=first + k))
         for number, who in enumerate(scene.people):

@@ -47,7 +47,7 @@ class Scene:
     sequence, sync_ns: the sequence that it belongs to, and the time since its start; 0 where it is a scene of its own ·
     cabin, settings, wheel_angle: the car, how its seats are set and its wheel turned (rad); None, empty and 0 in a room ·
     proposals, judged, rejections: what was tried for it, see `Attempts` · things: child seats and objects ·
-    fastenings: the belts that hold child seats.
+    fastenings: the belts that hold child seats · trimmed_as: the preset whose trim a changed one keeps, else "".
     """
 
     backdrop: Surface
@@ -65,6 +65,12 @@ class Scene:
     fastenings: tuple[Surface, ...] = ()
     sequence: int = 0
     sync_ns: int = 0
+    trimmed_as: str = ""
+
+    @property
+    def trim(self) -> str:
+        """The car or room by whose name colours and dyes are drawn."""
+        return self.trimmed_as or self.place
 
     @property
     def closed(self) -> bool:

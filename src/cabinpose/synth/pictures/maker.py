@@ -82,14 +82,14 @@ class PictureMaker:
 
     def _look(self, scene: Scene) -> Floats32:
         """(F, 3) of the scene's surface."""
-        parts = [backdrop_colours(scene.backdrop, rng=own_rng(self._seed, scene.place))]
+        parts = [backdrop_colours(scene.backdrop, rng=own_rng(self._seed, scene.trim))]
         for person in scene.people:
             look = look_of(person.person, self._seed, person.subject)
             parts.append(person_colours(person.person, look, rng=own_rng(self._seed, f"blotches of {person.subject}")))
-            parts += [belt_colours(belt, rng=own_rng(self._seed, scene.place)) for belt in person.surfaces[1:]]
+            parts += [belt_colours(belt, rng=own_rng(self._seed, scene.trim)) for belt in person.surfaces[1:]]
         for thing, *_ in scene.things:
             parts.append(thing_colours(thing.surface, rng=own_rng(self._seed, f"{thing.kind} {thing.variant}")))
-        parts += [belt_colours(belt, rng=own_rng(self._seed, scene.place)) for belt in scene.fastenings]
+        parts += [belt_colours(belt, rng=own_rng(self._seed, scene.trim)) for belt in scene.fastenings]
         return np.concatenate(parts)
 
     def _radiance(self, scene: Scene, surface: Surface, colours: Floats32, light: Light, found: Hits, seed: int) -> Floats:
