@@ -368,9 +368,11 @@ def whole(name: str, content: bytes) -> bool:
 
 
 def chosen(calls: int, most: int) -> list[int]:
-    """Numbers of calls, evenly over all of them, the first and the last among them."""
+    """Numbers of calls, evenly over all of them, the first and the last among them; of one alone the middle."""
     if calls <= most:
         return list(range(1, calls + 1))
+    if most == 1:
+        return [(calls + 1) // 2]
     return sorted({round(1 + k * (calls - 1) / (most - 1)) for k in range(most)})
 
 

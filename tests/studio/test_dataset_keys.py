@@ -99,6 +99,7 @@ def test_query_grid_histogram_and_export_by_keys(page: Any, start: Callable[...,
     page.get_by_text("frame 4", exact=True).wait_for()
     page.keyboard.press("Enter")
     seen(page, 4)
+    page.wait_for_url(re.compile(r"dataset\.frame=4"))  # it is written a moment later
     page.reload()
     seen(page, 4)  # condition, frame and view stand in the address
     page.get_by_text("4 of 6 frames").wait_for()

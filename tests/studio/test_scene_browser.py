@@ -362,9 +362,9 @@ def test_joint_is_moved_and_undone_by_keys_alone(three: Any) -> None:
     three.wait_for_timeout(500)  # the panel has slid in
     tab_to(three, ".studio-group .q-item")
     three.keyboard.press("Enter")
-    three.locator("[data-axis='driver lelbow.flexion']").wait_for()
-    tab_to(three, "[data-axis='driver lelbow.flexion']")
-    words = three.get_by_text("left elbow flexion", exact=True).locator("xpath=..")
+    three.locator("[data-axis='driver relbow.flexion']").wait_for()
+    tab_to(three, "[data-axis='driver relbow.flexion']")
+    words = three.get_by_text("right elbow flexion", exact=True).locator("xpath=..")
     start = words.inner_text()
     at = last_images(three)
     moved = after(three, lambda: three.keyboard.press("Shift+ArrowRight"))
@@ -375,5 +375,5 @@ def test_joint_is_moved_and_undone_by_keys_alone(three: Any) -> None:
     for images in (moved, at):
         assert after(three, lambda: three.keyboard.press("Control+z")) == images
     assert words.inner_text() == start
-    assert three.evaluate("!!document.activeElement.closest(\"[data-axis='driver lelbow.flexion']\")")
+    assert three.evaluate("!!document.activeElement.closest(\"[data-axis='driver relbow.flexion']\")")
     assert three.locator(".studio-conflicts button").count() == 0

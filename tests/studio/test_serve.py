@@ -64,11 +64,11 @@ def test_pages_that_nobody_looks_at_cost_no_memory(start: Callable[..., Any], da
 
 
 def test_pages_that_were_closed_give_their_memory_back(start: Callable[..., Any], dataset_folder: Path) -> None:
-    """Once those that are open at a time have been: the second hundred needs no more than the first."""
+    """Once those that are open at a time have been: those that follow need no more."""
     server = start(dataset_folder)
     memory = []
     for _ in range(3):
-        for _ in range(40):
+        for _ in range(25):
             visit(server.address)
         time.sleep(12)  # a page is held for ten seconds, in which a browser may come back
         memory.append(memory_mb(server.process.pid))
