@@ -214,6 +214,9 @@ def test_joints_of_plug_in_gait_are_told_as_the_models(dataset: xr.Dataset, pred
         assert report.value("median error", "3d").value == pytest.approx(0.0, abs=1e-4)
         assert any(of.definition in note and to.definition in note and "they were told as" in note for note in report.notes)
         assert evaluate(truth, replace(exact, joint_definition=""), OPTIONS).value("MPJPE", "3d").value > 0.1
+    before = dataset.assign_attrs(generator="cabinpose.synth", joint_definition="")
+    with pytest.raises(PredictionsError, match="no table leads there"):
+        common_skeleton(before, [exact])
     with pytest.raises(PredictionsError, match="of different definitions: anatomy, plug_in_gait"):
         common_skeleton(anatomy, [exact, replace(exact, joint_definition=ANATOMY)])
 

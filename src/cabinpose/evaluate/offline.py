@@ -103,7 +103,7 @@ def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predicto
     for each in meant:
         if has_joint_map(known, each):
             return each
-        if known.definition and known.definition != each.definition:
+        if known.definition != each.definition and has_joint_map(known, CABINPOSE):
             raise PredictionsError(
                 f"the models' joints are those of {each.definition}, the dataset's of {known.definition}: no table leads there",
                 hint="tell the predictions as anatomy's first (`cabinpose.core.told_as`)",
