@@ -65,7 +65,10 @@ class _Meeting(NamedTuple):
 
     def distance(self, shift: Floats, rows: Ints | slice = slice(None), seen_m: float = _SEEN_M) -> Floats:
         """(N,) m of the points, with the hand moved by `shift` (3,) m."""
-        local = apply(self.mesh_from_vehicle, self.points[rows] + self.moving * shift)
+        return self._signed(self.points[rows] + self.moving * shift, seen_m)
+
+    def _signed(self, points: Floats, seen_m: float) -> Floats:
+        local = apply(self.mesh_from_vehicle, points)
         return np.asarray(np.min([mesh.signed_distance(local, seen_m) for mesh in self.meshes], axis=0) - self.shell_m)
 
     def nearest(self, shift: Floats) -> tuple[float, Floats]:
@@ -73,7 +76,7 @@ class _Meeting(NamedTuple):
         few = self.distance(shift, slice(None, None, _FEW))
         distance = self.distance(shift, seen_m=min(abs(float(few.min())) + _BESIDE_M + self.shell_m, _SEEN_M))
         point = int(np.argmin(distance))
-        sides = [self.distance(shift + step, slice(point, point + 1))[0] for step in _PROBES]
+        sides = self._signed(self.points[point] + self.moving * (shift + _PROBES), _SEEN_M)
         return float(distance[point]), np.array([sides[2 * axis] - sides[2 * axis + 1] for axis in range(3)])
 
 
