@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -212,7 +213,9 @@ def test_sse_finds_what_the_shaft_and_the_sensor_did(tmp_path: Path, run: Callab
     judged = run("evaluate-mocap", "sse", f"yaw={tmp_path / 'yaw.mcap'}", "--sensor", "Head", "--samples", "10", "--json")
     assert judged.code == 0, judged.err
     record = json.loads(judged.out)
-    assert record["notes"] == ["yaw: 9 steps, 90 samples"]
+    ((steps, samples),) = [re.findall(r"\d+", note.removeprefix("yaw:")) for note in record["notes"]]
+    assert int(steps) == 9
+    assert 72 <= int(samples) <= 90  # ten a step, fewer where a busy machine comes late
     asked = np.array([0, 11.25, 22.5, 33.75, 45, 33.75, 22.5, 11.25, 0])
     true = asked + [0, 0, 0, -0.5, -0.5, 0.5, 1, 1, 1]  # by the play and the two missed moves
     assert all(np.abs(np.array(truth) - angle).min() < 1e-9 for angle in true)
