@@ -29,6 +29,8 @@ class CarScenes:
         """scene: that of the configuration."""
         self.scene = scene
         self.posing = Posing(scene, config.limits.poses_per_person)
+        exact = {slot: occupant.pose.face for slot, occupant in scene.occupants.items() if occupant.pose is not None}
+        self._faces = {slot: face.face for slot, face in exact.items() if face is not None}
         self._presets = {car.name: car.preset for car in scene.cars if isinstance(car, ChangedPreset)}
         self._casting, self._furnishing = Casting(scene, plan), Furnishing(scene)
         self._camera, self._plan = config.camera, plan
@@ -53,9 +55,7 @@ class CarScenes:
 
     def with_faces(self, cast: Cast, people: Iterable[ScenePerson], number: int) -> list[ScenePerson]:
         """The people with what their faces do; number: of the frame, or of the first of a sequence."""
-        exact = {slot: occupant.pose.face for slot, occupant in self.scene.occupants.items() if occupant.pose is not None}
-        given = {slot: face.face for slot, face in exact.items() if face is not None}
-        return with_faces(people, given, cast.cabin, seed=self._plan.seed, number=number)
+        return with_faces(people, self._faces, cast.cabin, seed=self._plan.seed, number=number)
 
     def furnished_cast(self, index: int, attempts: Attempts, *, rng: np.random.Generator) -> Cast | None:
         """Who sits in which car, with what is on its seats; None where a thing finds no place."""

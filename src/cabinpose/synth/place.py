@@ -78,7 +78,8 @@ def judge_place(
     """
     settings = settings or {}
     small, camera_from_vehicle = reduced(sensor), invert(vehicle_from_camera)
-    rendered = Rasteriser(small.camera, supersample=1).render(cabin.surface(settings), camera_from_vehicle)
+    surface = cabin.surface(settings)
+    rendered = Rasteriser(small.camera, supersample=1).render(surface, camera_from_vehicle)
     depth = simulate(rendered.buffers, small, noise, rng=noise_rng(0, 0)).depth_m
     field = lens_maps(small, 1).field
     valid = float(np.isfinite(depth)[field].mean()) if field.any() else 0.0
@@ -113,7 +114,7 @@ def judge_place(
     if told and outside:  # a mesh may be no more than seats, and a place beside it a good one
         low, high = cabin.bounds.round(2).tolist()
         told.insert(0, f"it is outside of the car, which reaches from {low} to {high} m (x forward, y left, z up)")
-    known = np.isin(cabin.surface(settings).label, _TOUCHED).any()  # of own meshes nothing may be
+    known = np.isin(surface.label, _TOUCHED).any()  # of own meshes nothing may be
     touched = float((np.isin(rendered.labels, _TOUCHED) & np.isfinite(depth))[field].mean()) if field.any() else 0.0
     return dataclasses.replace(report, doubts=tuple(told), blind=bool(known) and not report.seen and touched < _LEAST_OF_TOUCHED)
 

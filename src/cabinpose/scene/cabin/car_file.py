@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cabinpose.core import ConfigError, explained, read_yaml
 from cabinpose.scene.cabin.model import STATIC_GROUP, WHEEL_GROUP
 from cabinpose.scene.cabin.seats import PAN_BEHIND_H, PAN_BELOW_H
+from cabinpose.scene.cabin.views import View
 from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 
@@ -21,9 +22,6 @@ Slot = Literal["driver", "front_passenger", "rear_left", "rear_center", "rear_ri
 
 class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-_View = Literal["driver", "front_row", "rear", "mirror", "roof_console", "cluster", "a_pillar", "display"]
 
 
 class Rule(_Strict):
@@ -147,7 +145,7 @@ class CabinFile(_Strict):
         {}, description="Pedals: accelerator, brake, clutch, footrest."
     )
     rules: tuple[Rule, ...] = Field((), description="What the meshes are: the first rule that fits a mesh counts.")
-    views: dict[_View, ViewSpec] = Field(
+    views: dict[View, ViewSpec] = Field(
         {},
         description="Camera places: driver, front_row, rear, or those of products, mirror, roof_console, cluster, a_pillar,"
         " display; default: a free place is looked for before the seats for the first three.",

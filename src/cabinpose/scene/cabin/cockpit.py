@@ -106,18 +106,23 @@ def dashboard(layout: Layout) -> list[Part]:
     return parts
 
 
-def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
-    """The wheel in group "wheel" (rim, spokes, airbag cover) and the fixed column with its stalks."""
+def steering_wheel(layout: Layout) -> SteeringWheel:
+    """Where the wheel is, and the size of its rim."""
     d = layout.d
     section = 0.0165 if d.seat_style != "sport" else 0.0185
-    radius = d.w9_mm / 2000 - section
     tilt = np.deg2rad(d.a18_deg)
     pose = np.eye(4)
     pose[:3, 0] = (rp.sin(tilt), 0, rp.cos(tilt))
     pose[:3, 1] = (0, 1, 0)
     pose[:3, 2] = (-rp.cos(tilt), 0, rp.sin(tilt))
     pose[:3, 3] = (-d.l11_mm / 1000, layout.h_front[1], d.h17_mm / 1000)
-    wheel = SteeringWheel(pose, radius, section)
+    return SteeringWheel(pose, d.w9_mm / 2000 - section, section)
+
+
+def steering(layout: Layout) -> tuple[SteeringWheel, list[Part]]:
+    """The wheel in group "wheel" (rim, spokes, airbag cover) and the fixed column with its stalks."""
+    d, wheel = layout.d, steering_wheel(layout)
+    pose, radius, section = wheel.vehicle_from_wheel, wheel.rim_radius_m, wheel.rim_section_m
 
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     flat = 0.022 * smoothstep(-rp.cos(angle), 0.86, 1.0) if d.seat_style == "sport" else 0.0  # flattened bottom

@@ -8,15 +8,20 @@ assumed.
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 
-from cabinpose.scene.cabin.cockpit import dash_measures, steering
+from cabinpose.scene.cabin.cockpit import dash_measures, steering_wheel
 from cabinpose.scene.cabin.layout import Layout
 from cabinpose.scene.cabin.model import ViewAnchor
 from cabinpose.scene.cabin.shell import mirror_place
 
-VIEWS_OF_ALL = ("driver", "front_row", "rear")  # the views that every cabin has which is built here
-PRODUCT_VIEWS = ("mirror", "roof_console", "cluster", "a_pillar", "display")  # and those of products, where there is a dashboard
+SeatView = Literal["driver", "front_row", "rear"]
+ProductView = Literal["mirror", "roof_console", "cluster", "a_pillar", "display"]
+View = Literal[SeatView, ProductView]
+VIEWS_OF_ALL: tuple[str, ...] = get_args(SeatView)  # the views that every cabin has which is built here
+PRODUCT_VIEWS: tuple[str, ...] = get_args(ProductView)  # and those of products, where there is a dashboard
 _EYES_UP = 0.64  # m above the H-point: a driver's eyes, roughly
 _FREE = 0.045  # m from a lens to the part that its camera sits in
 
@@ -55,7 +60,7 @@ def _of_products(layout: Layout) -> dict[str, ViewAnchor]:
     mirror_x, mirror_z = mirror_place(layout)
     console_x = layout.header_x - 0.14
     console_eye = np.array([console_x, 0.0, float(layout.roof_line(console_x)) - _FREE])
-    wheel = steering(layout)[0].vehicle_from_wheel
+    wheel = steering_wheel(layout).vehicle_from_wheel
     column_eye = wheel[:3, 3] - 0.035 * wheel[:3, 2] + 0.107 * wheel[:3, 0]
     pillar_z = layout.belt_z + 0.20
     pillar_x = float(layout.a_pillar_x(pillar_z)) - _FREE

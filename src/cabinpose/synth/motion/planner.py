@@ -379,15 +379,14 @@ class Planner:
 
     def _carried(self, now: _Goal, chosen: Sitter, angle: float) -> tuple[Matrix | None, Matrix | None]:
         """Where a rim that turns to `angle` (rad) takes palms that were to be near there; None for a new grip."""
-        wheel = self._around.cabin.steering_wheel
-        if wheel is None:
+        before, after = (self._around.cabin.vehicle_from_wheel(each) for each in (now.pose.wheel_angle, angle))
+        if before is None or after is None:
             return None, None
-        hubs = [rp.matmul(wheel.vehicle_from_wheel, transform(axis_rotation("z", a))) for a in (now.pose.wheel_angle, angle)]
         palms = self._who.person.pose(now.pose.q, now.pose.root).palms
         result: list[Matrix | None] = [None, None]
         for side in (0, 1):
             if now.holds[side] and chosen.holds[side]:
-                palm = rp.matmul(hubs[1], rp.matmul(invert(hubs[0]), palms["lr"[side]]))
+                palm = rp.matmul(after, rp.matmul(invert(before), palms["lr"[side]]))
                 if rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < _HELD_M:
                     result[side] = palm
         return result[0], result[1]
