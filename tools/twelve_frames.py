@@ -77,9 +77,9 @@ QUESTIONS = (
 )
 
 
-def drawn(asked: Asked) -> Image.Image:
+def drawn(number: int, asked: Asked) -> Image.Image:
     """Caption, depth between its own 1st and 99th percentile, amplitude."""
-    frame = next(cabinpose.generate(*asked.keys, CARS, SENSOR, frames=1, seed=SEED + FRAMES.index(asked)))
+    frame = next(cabinpose.generate(*asked.keys, CARS, SENSOR, frames=1, seed=SEED + number))
     near, far = np.nanquantile(frame["depth"], (0.01, 0.99))
     bright = float(np.quantile(frame["amplitude"], 0.97))
     pictures = depth_image(frame["depth"], float(near), float(far)), amplitude_image(frame["amplitude"], bright)
@@ -94,7 +94,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     out = parser.parse_args().out
-    cells = [drawn(asked) for asked in FRAMES]
+    cells = [drawn(number, asked) for number, asked in enumerate(FRAMES)]
     width, height = cells[0].width + GAP, cells[0].height + GAP
     sheet = Image.new("RGB", (COLUMNS * width - GAP, -(-len(cells) // COLUMNS) * height - GAP), (255, 255, 255))
     for n, cell in enumerate(cells):
