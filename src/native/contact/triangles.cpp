@@ -66,21 +66,27 @@ double signed_distance_to(const double* p, double radius, double enough, const M
     const double at = origin[axis] + static_cast<double>(i) * cell;
     return std::max({at - p[axis], p[axis] - origin[axis] - static_cast<double>(i + 1) * cell, 0.0});
   };
-  Nearest best = nearest_in(row(own[0], own[1], own[2]), p, {radius * radius, false}, mesh);
-  for (Index i = low[0]; i <= high[0]; ++i) {
-    const double dx = away(i, 0);
-    if (dx * dx >= best.square || best.square <= stop) continue;
-    for (Index j = low[1]; j <= high[1]; ++j) {
-      const double dy = away(j, 1);
-      if (dx * dx + dy * dy >= best.square || best.square <= stop) continue;
-      for (Index k = low[2]; k <= high[2]; ++k) {
-        const double dz = away(k, 2);
-        if (dx * dx + dy * dy + dz * dz < best.square && best.square > stop) {
-          best = nearest_in(row(i, j, k), p, best, mesh);
-        }
-      }
+  // Outwards from the own cell along each axis: what is near is found first, and bounds what is looked at after it.
+  auto outwards = [&](int axis, auto&& visit) {
+    const Index from = std::min(std::max(own[axis], low[axis]), high[axis]);
+    for (Index n = 0; n <= high[axis] - low[axis]; ++n) {
+      if (from + n <= high[axis]) visit(from + n);
+      if (n > 0 && from - n >= low[axis]) visit(from - n);
     }
-  }
+  };
+  Nearest best{radius * radius, false};
+  outwards(0, [&](Index i) {
+    const double dx = away(i, 0);
+    if (dx * dx >= best.square || best.square <= stop) return;
+    outwards(1, [&](Index j) {
+      const double dy = away(j, 1);
+      if (dx * dx + dy * dy >= best.square || best.square <= stop) return;
+      outwards(2, [&](Index k) {
+        const double dz = away(k, 2);
+        if (dx * dx + dy * dy + dz * dz < best.square && best.square > stop) best = nearest_in(row(i, j, k), p, best, mesh);
+      });
+    });
+  });
   return mesh.closed && best.inside ? -std::sqrt(best.square) : std::sqrt(best.square);
 }
 
