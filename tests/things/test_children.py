@@ -102,7 +102,7 @@ def test_a_harness_lies_on_a_toddler() -> None:
     scene, child = drawn("toddler", "rear_left")
     assert child.belt == "harness"
     assert scene.things[0].thing.kind == "toddler_in_use"
-    assert set(child.surfaces[1].label) == {LABEL_ID["child_seat"]}
+    assert set(child.surfaces[1].label) == {LABEL_ID["seat_belt"]}
     distance = np.linalg.norm(child.surfaces[1].vertices[:, None, :] - child.surfaces[0].vertices[None, ::7], axis=2).min(axis=1)
     assert (distance < 0.03).mean() > 0.6
 

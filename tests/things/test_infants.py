@@ -54,7 +54,7 @@ def test_an_infant_lies_in_a_carrier_and_looks_back(action: str) -> None:
     assert (infant.posed.joints > low - 0.05).all()
     assert (infant.posed.joints < high + 0.05).all()
     assert infant.belt == "harness"
-    assert set(infant.surfaces[1].label) == {LABEL_ID["child_seat"]}
+    assert set(infant.surfaces[1].label) == {LABEL_ID["seat_belt"]}
     assert blanket.thing.kind == "blanket"
     cloth = blanket.surface(1).vertices
     knees = 0.5 * (at(infant, "lknee") + at(infant, "rknee"))

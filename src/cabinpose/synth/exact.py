@@ -57,7 +57,9 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
                 gaze=person.face.gaze, lids=person.face.lids, expression=person.face.expression, units=dict(person.face.units)
             ),
         )
-        worn = {"none": {"belted": False}, "worn": {"belted": True}, "harness": {}}.get(person.belt, {"belt": person.belt})
+        worn = {"none": {"belted": False}, "worn": {"belted": True}, "harness": {"belted": True}}.get(
+            person.belt, {"belt": person.belt}
+        )
         occupants[person.slot] = Occupant(subject=person.subject, action=person.action, pose=pose, **worn)
     things = tuple(
         ExactThing(

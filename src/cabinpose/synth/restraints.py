@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
-from cabinpose.scene.cabin import WEBBING_WIDTH, BeltWear, Cabin, SeatSetting, Wearer, fastening_surface
+from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, Wearer, fastening_surface, loose_straps
 from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
@@ -19,7 +19,10 @@ from cabinpose.synth.posture import straps_of
 from cabinpose.synth.scene import ScenePerson
 from cabinpose.synth.things import drawn
 
-_INFANT_STRAP_M = 0.024  # width of the harness of a carrier (assumed)
+# Widths of straps: UN R44 asks for 25 mm at least where they touch children of groups 0 to I, 38 mm beyond.
+_STRAP_M, _INFANT_STRAP_M = 0.038, 0.026
+_OVER_SHOULDER_M = 0.07  # of loose straps, from where they come out for a child who wears them
+_SHELL = (" shell", " padding")
 _GUIDE_M = (0.04, 0.020, 0.035)  # before the back, farther aside than the middle of the shoulder, above it
 _SLOT_M, _HIP_M = (0.010, 0.055, 0.010), (0.100, 0.125, 0.035)  # likewise; the hips' above the cushion
 
@@ -44,7 +47,7 @@ def fastening(thing: PlacedThing, cabin: Cabin, setting: SeatSetting) -> Surface
     """The belt that holds a child seat, vehicle frame."""
     path = _belt_path(thing)
     assert path is not None
-    shell = merge([part.surface for part in thing.thing.parts if part.name.endswith((" shell", " padding"))])
+    shell = merge([part.surface for part in thing.thing.parts if part.name.endswith(_SHELL)])
     points, shell = apply(thing.vehicle_from_thing, np.array(path.points)), shell.moved(thing.vehicle_from_thing)
     return fastening_surface(shell, cabin.seats[thing.slot], setting, cabin, points, over=path.over)
 
@@ -73,6 +76,12 @@ def belt_guide(on: PlacedThing, body: PosedBody, anchor: Floats) -> Floats | Non
     return _beside_back(on, shoulder[2] + _GUIDE_M[2], _GUIDE_M[0], aside)
 
 
+def lap_guides(on: PlacedThing) -> Floats | None:
+    """Where a booster leads the belt's lap part below its armrests, (2, 3) m, vehicle frame; None for one that does not."""
+    at = _sitting(on).guide_m
+    return None if at is None else np.asarray(apply(on.vehicle_from_thing, np.array(at) * ((1.0, 1.0, 1.0), (1.0, -1.0, 1.0))))
+
+
 def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
     """Where a harness comes out of its shell, (2, 3) m each, vehicle frame: behind the shoulders and beside the hips."""
     if on.thing.lying is not None:
@@ -90,15 +99,26 @@ def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.rando
     how = _belt_wear(scene, person.slot, rng)
     wearer = Wearer.of(clothed, person.posed.joints)
     if on is not None and (on.thing.lying is not None or _sitting(on).harness):
-        width = WEBBING_WIDTH if on.thing.lying is None else _INFANT_STRAP_M
-        harness = wearer.harness(*straps(on, person.posed), width_m=width)
-        return replace(person, surfaces=(clothed, harness), belt="harness")
+        width = _STRAP_M if on.thing.lying is None else _INFANT_STRAP_M
+        slots, hips = straps(on, person.posed)
+        if how == "none":  # an infant lies on the straps
+            return replace(person, surfaces=(clothed, *(() if on.thing.lying else (_undone(on, slots, width),))))
+        return replace(person, surfaces=(clothed, wearer.harness(slots, hips, width_m=width)), belt="harness")
     if seat.belt is None or how == "none" or person.slot in cast.doing:
         return replace(person, surfaces=(clothed,))
-    guide = None if on is None else belt_guide(on, person.posed, seat.belt.upper)
+    guide, lap = (None, None) if on is None else (belt_guide(on, person.posed, seat.belt.upper), lap_guides(on))
     setting = cast.settings[person.slot]
-    belt = wearer.belt(seat, setting, cast.cabin, worn=how, guide=guide)
+    belt = wearer.belt(seat, setting, cast.cabin, worn=how, guide=guide, lap_guides=lap)
     return replace(person, surfaces=(clothed, belt), belt=how)
+
+
+def _undone(on: PlacedThing, slots: Floats, width_m: float) -> Surface:
+    """The straps of a harness that nobody has buckled, vehicle frame."""
+    shell = merge([part.surface for part in on.thing.parts if part.name.endswith(_SHELL)]).moved(on.vehicle_from_thing)
+    turn = on.vehicle_from_thing[:3, :3]
+    return loose_straps(
+        shell, slots + _OVER_SHOULDER_M * turn[:, 2], np.stack((turn[:, 1], -turn[:, 1])), -turn[:, 2], width_m=width_m
+    )
 
 
 def _belt_wear(scene: CabinScene, slot: str, rng: np.random.Generator) -> BeltWear | Literal["none"]:

@@ -13,10 +13,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import cabin as native
-from cabinpose.core import CABINPOSE, Bytes, ConfigError, Floats, Floats32, Ints32, cross
+from cabinpose.core import CABINPOSE, Bytes, ConfigError, Floats, Floats32, Ints32, apply, cross, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Seat, SeatSetting, Vector
-from cabinpose.scene.cabin.shapes import slab_faces, smoothstep
+from cabinpose.scene.cabin.shading import to_surface
+from cabinpose.scene.cabin.shapes import Solid, rounded_box, slab, slab_faces, smoothstep
 from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.surface import Surface, merge
@@ -27,6 +28,15 @@ WEBBING_WIDTH = 0.047  # UN R16: at least 46 mm wide under load
 WEBBING_THICKNESS = 0.0015
 _ASIDE = np.radians(60.0)  # from straight ahead, as far as a collar bone leads the belt
 _BETWEEN_M = 0.08  # by which one shoulder is nearer to the anchor than the other, where the belt lies on that one alone
+_COLLAR, _PAD = 0.48, 0.62  # from the neck to a shoulder: where a belt lies on it, and the pads of a harness
+_CREASE = (0.14, 0.03)  # along the thighs from the hips, and above their bones (m of an adult)
+# Of a harness, by the width of its straps: the buckle, across, up, and out of the body; and where its two tongues go into it.
+_BUCKLE, _TONGUES = np.array((1.25, 1.6, 0.55)), np.array(((0.32, 0.55, 0.05), (-0.32, 0.55, 0.05)))
+_UNDER = (
+    0.2,
+    0.12,
+)  # from the buckle to where the strap between the legs comes out of the cushion: along them, down (m of an adult)
+_BESIDE_M, _OVER_RIM_M, _HANGS_M = 0.02, 0.006, (0.035, 0.14)  # of a loose strap: its rim, and how it hangs there, out and down
 STEPS = 40  # cross-sections of a ribbon
 
 # Bones of the trunk, by which the flesh about the shoulders is told from the rest of it: ends, the piece of the bone (0 first end
@@ -37,6 +47,7 @@ _TRUNK = (
     ("lshoulder", "lelbow", 0.0, 0.3, 0.06), ("rshoulder", "relbow", 0.0, 0.3, 0.06),
     ("lpelvis", "lknee", 0.0, 0.4, 0.085), ("rpelvis", "rknee", 0.0, 0.4, 0.085),
 )  # fmt: skip
+_NEAR_HIP, _ON_THIGHS = 0.4, 0.8  # how far down the thighs a lap part lies: on a seat of a car, and on one of a child
 # The classes that belts lie on, and how far down arms and thighs: the lap belt farther than one before the chest, which does not
 # climb a thigh.
 _LAIN_ON = np.isin(np.arange(256), [LABEL[name] for name in LABEL if name.startswith(("torso", "hip_center", "shoulder"))])
@@ -45,10 +56,11 @@ _ROOTS = tuple(
     for side in ("left", "right")
     for part, near, far, shares in (
         ("upper_arm", "shoulder", "elbow", (0.3, 0.3)),
-        ("hip", "pelvis", "knee", (0.1, 0.4)),
-        ("thigh", "pelvis", "knee", (0.1, 0.4)),
+        ("hip", "pelvis", "knee", (0.1, _NEAR_HIP)),
+        ("thigh", "pelvis", "knee", (0.1, _NEAR_HIP)),
     )
 )
+_KNEES = CABINPOSE.indices(("lknee", "rknee"))
 _BONES = np.array([(CABINPOSE.index[a], CABINPOSE.index[b]) for a, b, *_ in _TRUNK], dtype=np.int64)
 _PIECE = np.array([piece for _, _, *piece, _ in _TRUNK])[:, :, None]
 _GIRTH = np.array([girth for *_, girth in _TRUNK])
@@ -73,20 +85,26 @@ class Wearer(NamedTuple):
 
     def belt(
         self, seat: Seat, setting: SeatSetting, cabin: Cabin, *, gap_m: float = 0.004, worn: BeltWear = "worn",
-        guide: Vector | None = None,
+        guide: Vector | None = None, lap_guides: Floats | None = None,
     ) -> Surface:  # fmt: skip
         """The belt of a seat over its occupant, vehicle frame, class seat_belt, instance 0.
 
         gap_m: clearance of the webbing from the surface · worn: how · guide: (3,) m, through which a booster leads the belt to
-        the shoulder. Raises ConfigError for a seat that has no belt or is not in the cabin.
+        the shoulder · lap_guides: (2, 3) m, the openings below its armrests, through which it leads the lap part over the thighs.
+        Raises ConfigError for a seat that has no belt or is not in the cabin.
         """
         anchors = _anchors(seat, setting, cabin)
-        body = _Trunk.of(self)
+        body = _Trunk.of(self, _NEAR_HIP if lap_guides is None else _ON_THIGHS)
         ahead, up, size = body.ahead, body.up, body.size
         shoulder = body.shoulder_at(anchors.upper)
         collar, front = body.collar(shoulder), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
         front_of_pelvis = body.pelvis + size * (0.10 * ahead + 0.065 * up)
         start, courses = anchors.upper, list[_Course]()
+        outer, buckle = anchors.outer_lap, anchors.buckle
+        if lap_guides is not None:
+            outer, buckle = sorted(lap_guides, key=lambda at: float(rp.norm(at - anchors.outer_lap)))
+            front_of_pelvis = body.crease()
+            courses += [_Course(a, a + ahead, b, None) for a, b in ((anchors.outer_lap, outer), (buckle, anchors.buckle))]
         if worn == "behind_back":
             behind = body.at["chest"] + 0.3 * (shoulder - body.at["neck"]) - 0.12 * size * ahead
             courses += [_Course(start, collar, behind, None), _Course(behind, collar, anchors.buckle, None)]
@@ -96,29 +114,75 @@ class Wearer(NamedTuple):
                 armpit = shoulder + 0.2 * (body.at["neck"] - shoulder) - 0.17 * size * up
                 guide, collar = armpit - 0.03 * size * ahead, 0.5 * (armpit + body.at["chest"]) + 0.12 * size * ahead
             elif guide is not None:
-                collar = 0.5 * (guide + anchors.buckle) + 0.3 * ahead
+                collar = 0.5 * (guide + buckle) + 0.3 * ahead
             if guide is not None:
                 courses.append(_Course(start, collar, guide, None))
                 start = guide
-            courses.append(_Course(start, _kept_in_front(start, collar, anchors.buckle, front), anchors.buckle, front))
-        courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up, lap=True))
+            courses.append(_Course(start, _kept_in_front(start, collar, buckle, front), buckle, front))
+        courses.append(_Course(outer, front_of_pelvis, buckle, ahead + up, lap=True))
         return merge([_ribbon(body, course, gap_m) for course in courses])
 
     def harness(self, slots: Floats, hips: Floats, *, gap_m: float = 0.004, width_m: float = WEBBING_WIDTH) -> Surface:
-        """The harness of a child seat over the child in it, vehicle frame, class child_seat.
+        """The five-point harness of a child seat over the child in it, buckled up, vehicle frame, class seat_belt, instance 0.
 
-        slots, hips: (2, 3) m, where its straps come out of the shell behind the left and the right shoulder, and beside the hips
-        · gap_m: as for `belt` · width_m: of the straps.
+        Straps over both shoulders, one over the hips, and one between the legs meet in a buckle that lies on the pelvis.
+
+        slots, hips: (2, 3) m, where straps come out of the shell behind the left and the right shoulder, and beside the hips ·
+        gap_m: as for `belt` · width_m: of the straps.
         """
-        body = _Trunk.of(self)
-        buckle = body.pelvis + body.size * (0.135 * body.ahead + 0.05 * body.up)
-        courses = [
-            _Course(slot, body.collar(body.at[side + "shoulder"]), buckle, body.ahead)
-            for side, slot in zip("lr", slots, strict=True)
+        body = _Trunk.of(self, _ON_THIGHS)
+        lap = _ribbon(body, _Course(hips[0], body.crease(), hips[1], body.ahead + body.up, lap=True), gap_m, width=width_m)
+        middle = slice(3 * (STEPS // 2 - 1), 3 * (STEPS // 2 + 1))  # of the outer side
+        at, out = (rows[middle].mean(axis=0).astype(np.float64) for rows in (lap.vertices, lap.normals))
+        out /= rp.norm(out)
+        across = body.at["lpelvis"] - body.at["rpelvis"]
+        across -= (rp.matmul(across, out)) * out
+        across /= rp.norm(across)
+        frame = transform(np.column_stack((across, cross(out, across), out)), at)
+        tongues = apply(frame, _TONGUES * width_m)
+        straps = [
+            _Course.before(slot, body.collar(body.at[side + "shoulder"], _PAD), tongue, body.ahead)
+            for side, slot, tongue in zip("lr", slots, tongues, strict=True)
         ]
-        before = body.pelvis + 0.12 * body.size * body.ahead
-        courses += [_Course(hip, before, buckle, body.ahead + body.up, lap=True) for hip in hips]
-        return merge([_ribbon(body, course, gap_m, "child_seat", width_m) for course in courses])
+        thighs, below = body.thighs()
+        under = at + _UNDER[0] * thighs + _UNDER[1] * body.size * below
+        between = to_surface(_flat(np.linspace(under, at, 4), across, width_m), "seat_belt", "belt_webbing")
+        buckle = rounded_box((width_m * _BUCKLE).tolist(), 0.2 * width_m, (1, 1, 1), corner=1).moved(frame)
+        laid = [_ribbon(body, course, gap_m, width=width_m) for course in straps]
+        return merge([lap, *laid, between, to_surface(buckle, "seat_belt", "hard_plastic")])
+
+
+def loose_straps(shell: Surface, slots: Floats, outwards: Floats, down: Vector, *, width_m: float = WEBBING_WIDTH) -> Surface:
+    """The shoulder straps of a harness that is not buckled up, thrown over the sides of the shell, vehicle frame.
+
+    shell: of the child seat · slots: (2, 3) m, where they come out of it · outwards: (2, 3) to its left and its right side ·
+    down: (3,) along which they hang. Class seat_belt, instance 0.
+    """
+    straps = []
+    for slot, out in zip(slots, outwards, strict=True):
+        along = shell.vertices.astype(np.float64) - slot
+        near = along[(np.abs(rp.matmul(along, down)) < _BESIDE_M) & (rp.matmul(along, out) > 0.0)]
+        if not len(near):
+            continue
+        ahead = cross(down, out) * (1.0 if rp.matmul(cross(down, out), near.sum(axis=0)) > 0.0 else -1.0)
+        rim = slot + near[int(np.argmax(rp.matmul(near, ahead)))] + _OVER_RIM_M * ahead
+        over = rim + _HANGS_M[0] * out
+        corners = np.stack((slot, rim, over, over + _HANGS_M[1] * down))
+        shares = np.linspace(0.0, len(corners) - 1.0, 3 * len(corners) - 2)
+        path = np.stack([np.interp(shares, np.arange(len(corners)), column) for column in corners.T], axis=1)
+        straps.append(to_surface(_flat(path, ahead + down, width_m), "seat_belt", "belt_webbing"))
+    return merge(straps)
+
+
+def _flat(path: Floats, aside: Vector, width_m: float) -> Solid:
+    """Webbing along points (N, 3) m, its width as far as it can be along `aside` (3,), which they never are."""
+    tangents = np.gradient(path, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    across = aside - (tangents * aside).sum(axis=1, keepdims=True) * tangents
+    across *= 0.5 * width_m / np.linalg.norm(across, axis=1, keepdims=True)
+    off = WEBBING_THICKNESS / width_m * np.cross(tangents, across)
+    inner, outer = (np.stack((path - across, path, path + across), axis=1) + sign * off[:, None] for sign in (-1.0, 1.0))
+    return slab(inner, outer).outward()
 
 
 class _Trunk(NamedTuple):
@@ -138,7 +202,8 @@ class _Trunk(NamedTuple):
     shoulders: bool = True
 
     @classmethod
-    def of(cls, wearer: Wearer) -> _Trunk:
+    def of(cls, wearer: Wearer, thighs: float = _NEAR_HIP) -> _Trunk:
+        """thighs: how far down them a lap part lies, share of their length."""
         joints = wearer.joints
         at = {name: joints[i] for name, i in CABINPOSE.index.items()}
         pelvis = 0.5 * (at["lpelvis"] + at["rpelvis"])
@@ -152,7 +217,15 @@ class _Trunk(NamedTuple):
         bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
         vertices = np.ascontiguousarray(wearer.vertices, dtype=np.float32)
         faces = np.ascontiguousarray(wearer.faces, dtype=np.int32)
-        return cls(vertices, _lain_on(vertices, faces, joints, wearer.labels), bones, at, pelvis, up, ahead, size)
+        return cls(
+            vertices, _lain_on(wearer._replace(vertices=vertices, faces=faces), thighs), bones, at, pelvis, up, ahead, size
+        )
+
+    @classmethod
+    def without_bones(cls, surface: Surface, down: Vector, ahead: Vector) -> _Trunk:
+        """Of a thing: all of it is lain on."""
+        faces, bones = (surface.faces, surface.faces), np.zeros((len(_GIRTH), 2, 3))
+        return cls(surface.vertices, faces, bones, {}, np.zeros(3), -down, ahead, 1.0)
 
     def shoulder_at(self, anchor: Vector) -> Vector:
         """The shoulder beside an anchor; a place between the two where somebody leans so far that both are about as near."""
@@ -161,19 +234,31 @@ class _Trunk(NamedTuple):
         share = float(smoothstep(nearer_m, -_BETWEEN_M, _BETWEEN_M))
         return np.asarray(share * left + (1.0 - share) * right)
 
-    def collar(self, shoulder: Vector) -> Vector:
-        """The middle between neck and arm."""
-        return np.asarray(0.52 * self.at["neck"] + 0.48 * shoulder + 0.03 * self.size * self.ahead)
+    def thighs(self) -> tuple[Vector, Vector]:
+        """From the middle of the hips to that of the knees, m; and the direction out of the thighs' undersides."""
+        thighs = 0.5 * (self.at["lknee"] + self.at["rknee"]) - self.pelvis
+        below = (rp.matmul(self.up, thighs)) / (rp.matmul(thighs, thighs)) * thighs - self.up
+        return thighs, below / rp.norm(below)
+
+    def crease(self) -> Vector:
+        """Between the two thighs, on top of them, where they meet the pelvis: where a lap part lies that cannot slip up."""
+        thighs, below = self.thighs()
+        return np.asarray(self.pelvis + _CREASE[0] * thighs - _CREASE[1] * self.size * below)
+
+    def collar(self, shoulder: Vector, share: float = _COLLAR) -> Vector:
+        """The middle between neck and arm; share: another place on the way to the shoulder."""
+        return np.asarray((1.0 - share) * self.at["neck"] + share * shoulder + 0.03 * self.size * self.ahead)
 
 
-def _lain_on(skin: Floats32, faces: Ints32, joints: Floats, labels: Bytes) -> tuple[Ints32, Ints32]:
-    """The faces that a belt before the chest and a lap belt lie on, whatever is near them."""
+def _lain_on(wearer: Wearer, thighs: float) -> tuple[Ints32, Ints32]:
+    """The faces that a belt before the chest and a lap belt lie on, whatever is near them; thighs: as of `_Trunk.of`."""
+    skin, faces, labels, joints = wearer
     chest, lap = [faces[_LAIN_ON[labels]]], [faces[_LAIN_ON[labels]]]
     for label, near, far, shares in _ROOTS:
         limb, bone = faces[labels == label], joints[far] - joints[near]
         along = rp.matmul(skin[limb].mean(axis=1) - joints[near], bone) / (rp.matmul(bone, bone))
         chest.append(limb[along < shares[0]])
-        lap.append(limb[along < shares[1]])
+        lap.append(limb[along < (thighs if far in _KNEES else shares[1])])
     return np.concatenate(chest), np.concatenate(lap)
 
 
@@ -197,8 +282,7 @@ def fastening_surface(surface: Surface, seat: Seat, setting: SeatSetting, cabin:
     """
     anchors = _anchors(seat, setting, cabin)
     forward, up = seat.vehicle_from_seat(setting)[:3, 0], np.array([0.0, 0.0, 1.0])
-    nowhere = np.zeros(3)
-    body = _Trunk(surface.vertices, (surface.faces, surface.faces), np.zeros((len(_GIRTH), 2, 3)), {}, nowhere, up, forward, 1.0)
+    body = _Trunk.without_bones(surface, -up, forward)
     lap, shoulder = path
     if over:
         courses = [
@@ -270,8 +354,14 @@ class _Course(NamedTuple):
     front: Vector | None
     lap: bool = False
 
+    @classmethod
+    def before(cls, start: Vector, through: Vector, end: Vector, front: Vector) -> _Course:
+        """One whose ends are the same way to the front, so that not they but what lies between tells that side of the body."""
+        chord = (end - start) / rp.norm(end - start)
+        return cls(start, through, end, front - (rp.matmul(front, chord)) * chord)
 
-def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt", width: float = WEBBING_WIDTH) -> Surface:
+
+def _ribbon(body: _Trunk, course: _Course, gap: float, width: float = WEBBING_WIDTH) -> Surface:
     straight = course.front is None
     rows = np.array((*course[:3], course.through - course.start if straight else course.front), dtype=np.float64)
     vertices, normals = np.empty((2, STEPS, 3, 3), np.float32), np.empty((2, STEPS, 3, 3), np.float32)
@@ -286,7 +376,7 @@ def _ribbon(body: _Trunk, course: _Course, gap: float, label: str = "seat_belt",
         vertices.reshape(-1, 3),
         normals.reshape(-1, 3),
         topology,
-        np.full(len(topology), LABEL[label], np.uint8),
+        np.full(len(topology), LABEL["seat_belt"], np.uint8),
         np.full(len(topology), MATERIAL["belt_webbing"], np.uint8),
         np.zeros(len(topology), np.uint8),
     )

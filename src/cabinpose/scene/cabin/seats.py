@@ -23,6 +23,8 @@ PAN_BEHIND_H = 0.135  # SAE J826: H-point to the back pan, normal to the torso l
 CUSHION_GIVE = 0.055  # foam under the thighs of a production seat gives 50 to 60 mm at most
 BACK_GIVE = 0.050
 HEADREST_GIVE = 0.040
+_KNEES_M = 0.020  # of the hollow for knees in the rear face of a front seat
+_SHELL_M, _POCKET_M = 0.007, 0.010  # of the hard cover behind the foam, of the map pocket behind the cover
 # Where a seat's cushion is, and its backrest with the headrest: opposite corners (2, 3) from the H-point in the seat's frame, m.
 CUSHION_BOX = np.array(((-0.30, -0.30, -0.21), (0.45, 0.30, 0.10)))
 BACK_BOX = np.array(((-0.62, -0.30, -0.14), (0.02, 0.30, 0.80)))
@@ -117,6 +119,18 @@ def _cushion(shape: SeatShape, angle: float, sides: tuple[float, float], fine: b
     return box.deformed(bend)
 
 
+def _crown(z: Floats) -> Floats:
+    """How the upper back leans away, along x; z: height in the back frame, m."""
+    return -0.018 * smoothstep(z, 0.36, 0.60)
+
+
+def _rear_face(shape: SeatShape, y: Floats, z: Floats) -> Floats:
+    """How far the rear face of a backrest is ahead of its lowest part: it tapers upwards, and seats with a shell leave knees room."""
+    high = shape.back_height + (shape.head_height if shape.headrest == "integral" else 0.0)
+    knees = _KNEES_M * rp.exp(-(((z - 0.22) / 0.14) ** 2)) * (1 - (2 * y / shape.width) ** 2) if shape.shell != "box" else 0.0
+    return np.asarray(0.030 * smoothstep(z, 0.25, high) + knees)
+
+
 def _back(shape: SeatShape, sides: tuple[float, float], fine: bool) -> Solid:
     """The backrest in the back frame."""
     low, high = shape.back_low, shape.back_height + (shape.head_height if shape.headrest == "integral" else 0.0)
@@ -132,13 +146,13 @@ def _back(shape: SeatShape, sides: tuple[float, float], fine: bool) -> Solid:
         reach = smoothstep(z_, -0.10, 0.10) * (1 - 0.65 * smoothstep(z_, 0.34, 0.56))
         rise = bolster * smoothstep(np.abs(y), shape.insert * 0.95, shape.width / 2 - 0.03) * reach
         lumbar = shape.lumbar * rp.exp(-(((z_ - 0.17) / 0.11) ** 2))
-        crown = -0.018 * smoothstep(z_, 0.36, 0.60)  # the upper back leans away
+        crown = _crown(z_)
         taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, min(shape.back_height, high) - 0.01)
         head = np.zeros_like(z_)
         if shape.headrest == "integral":
             head = 0.065 * smoothstep(z_, shape.back_height - 0.08, high - 0.10)
-        thin = 0.030 * smoothstep(z_, 0.25, high) * (1 - front)  # the rear face tapers towards the top
-        x_ = x - shape.back_depth / 2 - shape.back_behind_h + front * (rise + lumbar) + crown + head + thin
+        behind = (1 - front) * _rear_face(shape, y, z_)
+        x_ = x - shape.back_depth / 2 - shape.back_behind_h + front * (rise + lumbar) + crown + head + behind
         return np.stack((x_, y * taper, z_), axis=-1)
 
     return box.deformed(bend)
@@ -167,20 +181,33 @@ def _headrest(shape: SeatShape) -> tuple[Solid, Solid | None]:
     return pad, join(posts)
 
 
-def _back_shell(shape: SeatShape) -> Solid:
-    """The hard cover behind the backrest."""
-    height = shape.back_height - 0.02
-    box = rounded_box((0.022, shape.width * 0.90, height), (0.010, 0.05, 0.05), (1, 3, 4), corner=1)
+def _behind(shape: SeatShape, size: tuple[float, float], middle: float, proud: float) -> Solid:
+    """A flat piece of a width and height (m) on the rear face of a backrest, from its foam to `proud` behind it.
+
+    middle: its height in the back frame, m.
+    """
+    thick = 0.010 + proud
+    box = rounded_box((thick, *size), (0.45 * thick, 0.05, 0.05), (1, 3, 4), corner=1)
 
     def bend(p: Floats) -> Floats:
         x, y, z = p.T
-        z_ = z + height / 2 - 0.06
+        z_ = z + middle
         taper = 1 - (1 - shape.top_width / shape.width) * smoothstep(z_, 0.36, shape.back_height - 0.01)
-        knee = 0.020 * rp.exp(-(((z_ - 0.22) / 0.14) ** 2)) * (1 - (2 * y / shape.width) ** 2)  # hollow for knees behind
-        x_ = x - shape.back_behind_h - shape.back_depth + 0.003 + 0.012 * smoothstep(z_, 0.25, height) + knee
-        return np.stack((x_, y * taper, z_), axis=-1)
+        face = _crown(z_) + _rear_face(shape, y, z_) - shape.back_behind_h - shape.back_depth
+        return np.stack((x + 0.5 * (0.010 - proud) + face, y * taper, z_), axis=-1)
 
     return box.deformed(bend)
+
+
+def _back_shell(shape: SeatShape) -> Solid:
+    """The hard cover behind the backrest, proud of the foam all over."""
+    height = shape.back_height - 0.02
+    return _behind(shape, (shape.width * 0.90, height), height / 2 - 0.06, _SHELL_M)
+
+
+def _pocket(shape: SeatShape) -> Solid:
+    """The map pocket on the lower half of the cover."""
+    return _behind(shape, (shape.width * 0.70, 0.25), 0.17, _SHELL_M + _POCKET_M)
 
 
 def _under(shape: SeatShape, stand: SeatStand) -> list[Solid]:
@@ -238,6 +265,7 @@ def seat_parts(
     ]
     if shape.shell != "box":
         parts.append(Part(f"{slot} back shell", to_surface(_back_shell(shape), "seat", "hard_plastic"), back))
+        parts.append(Part(f"{slot} map pocket", to_surface(_pocket(shape), "seat", "synthetic_fabric"), back, _POCKET_M))
     if shape.headrest in ("posts", "wing"):
         pad, posts = _headrest(shape)
         parts.append(Part(f"{slot} headrest", to_surface(pad, "headrest", cover), rest, HEADREST_GIVE))

@@ -13,6 +13,8 @@ from cabinpose.scene.cabin.model import Part
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import Solid, block, ellipse, join, loft, rounded_box, slab, smooth_curve, smoothstep, sweep
 
+_UNDER_MATS_M = 0.004  # of the carpet, below the height at which heels stand: mats lie on it
+
 Line = Callable[[Floats], Floats]
 
 
@@ -201,7 +203,7 @@ def floor(layout: Layout) -> list[Part]:
     normal = np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)  # into the cabin
     x, z = np.repeat(line[:, :1], len(v), 1), np.repeat(line[:, 1:], len(v), 1)
     y = v * (layout.half_width(x, np.full_like(x, 0.05)) + 0.02)
-    bump = layout.floor_z(x, y)
+    bump = layout.floor_z(x, y) - (0.0 if layout.facing else _UNDER_MATS_M)
     inner = np.stack((x + bump * normal[:, :1], y, z + bump * normal[:, 1:]), axis=-1)
     outer = np.stack((x - WALL * normal[:, :1], y, z - WALL * normal[:, 1:]), axis=-1)
     parts = [Part("floor", to_surface(slab(inner, outer), "floor", "carpet"))]
@@ -211,8 +213,24 @@ def floor(layout: Layout) -> list[Part]:
             for dy in (-0.19, 0.19):
                 box = block((0.50, 0.035, 0.03))
                 rails.append(box.shifted(layout.h_front[0] + 0.06, side * layout.h_front[1] + dy, 0.012))
+        material = "carpet" if layout.d.leather else "rubber"
+        parts.append(Part("floor mats", to_surface(join(_mats(layout)), "floor", material)))
         parts.append(Part("seat rails", to_surface(join(rails), "floor", "metal")))
     return parts
+
+
+def _mats(layout: Layout) -> list[Solid]:
+    """A mat before each outer seat, whose top is the height on which heels stand; clear of the tunnel, the sills and the rails."""
+    rows = ((layout.h_front, layout.h_front[0] + 0.34, layout.toe_x - 0.01), (layout.h_rear, layout.h_rear[0] + 0.28,
+             layout.h_rear[0] + 0.60))  # fmt: skip
+    solids = []
+    for h, rear, front in rows:
+        edge = float(layout.half_width(np.array(front), np.array(0.0))) - 0.07
+        inner, outer = max(h[1] - 0.21, 0.15), min(h[1] + 0.22, edge)
+        size = (front - rear, outer - inner, 2.0 * _UNDER_MATS_M)
+        mat = rounded_box(size, (0.06, 0.06, 0.002), (2, 2, 1), corner=1).shifted(0.5 * (front + rear), 0.5 * (inner + outer))
+        solids += [mat.shifted(z=-_UNDER_MATS_M), mat.shifted(z=-_UNDER_MATS_M).mirrored()]
+    return solids
 
 
 def roof(layout: Layout) -> list[Part]:

@@ -20,7 +20,9 @@ from cabinpose.scene.cabin.shapes import Solid, join, prism, rounded_box, slab, 
 from cabinpose.scene.things.pieces import Kind, Piece, of_design, shell
 
 PADDING_M = 0.020  # of a child seat gives way, on which a hand or a neighbour's arm may lie
-ARMREST_M = 0.028  # of a booster, from its cushion to the middle of the rests
+ARMREST_M = 0.049  # of a booster, from its cushion to the middle of the rests
+_REST_M, _POST_M = (0.250, 0.045, 0.030), 0.055  # of an armrest, long, wide, thick; along it, of the post before it
+_GUIDE_M = (0.105, 0.176, 0.017)  # the opening behind the post, above the cushion: x, y, z
 _TILTED_RAD, _TILTED_ABOUT, _TILTED_BACK_M = np.radians(16.0), (0.25, 0.13), 0.045  # of a carrier in use, (x, z) m
 _LINER, _SHELL = (0.0, 0.022), (0.020, 0.040)  # padding over the shell that carries it
 
@@ -30,7 +32,8 @@ class Sitting(NamedTuple):
 
     stature_m: of the children that it holds · cushion: height (m) of the padding at x = 0, and its slope · back: x (m) of the
     padding at z = 0, and how it leans, dx/dz; None where the car's own backrest carries the back · front_m: x of the cushion's
-    front edge · harness: whether it has one; else the car's belt is worn.
+    front edge · harness: whether it has one; else the car's belt is worn · guide_m: (x, y, z) of the opening below the left
+    armrest, through which the belt's lap part runs.
     """
 
     stature_m: tuple[float, float]
@@ -38,6 +41,7 @@ class Sitting(NamedTuple):
     back: tuple[float, float] | None
     front_m: float
     harness: bool = False
+    guide_m: tuple[float, float, float] | None = None
 
 
 class Lying(NamedTuple):
@@ -166,11 +170,15 @@ def _toddler(variant: int) -> tuple[Piece, ...]:
 
 
 def _cushion(high: float) -> tuple[Piece, ...]:
-    """What a child sits on, with rests under which the belt runs."""
+    """What a child sits on, with rests on posts, behind which the belt runs below them."""
     cushion = rounded_box((0.400, 0.380, high), (0.050, 0.045, 0.035), (4, 4, 1), corner=2).shifted(0.235, 0.0, high / 2.0)
     rests = [
-        rounded_box((0.250, 0.045, 0.070), 0.022, (3, 1, 1), corner=1).shifted(0.215, s * 0.190, high + ARMREST_M)
+        piece.shifted(0.215, s * 0.190, high)
         for s in (-1.0, 1.0)
+        for piece in (
+            rounded_box(_REST_M, 0.014, (3, 1, 1), corner=1).shifted(z=ARMREST_M),
+            rounded_box((_POST_M, 0.040, 0.070), 0.014, (1, 1, 1), corner=1).shifted(0.5 * (_REST_M[0] - _POST_M), 0.0, 0.022),
+        )
     ]
     return (Piece("cushion", cushion, "seat_fabric", PADDING_M), Piece("armrests", join(rests), "hard_plastic"))
 
@@ -197,12 +205,16 @@ def _booster(variant: int) -> tuple[Piece, ...]:
 
 def _in_booster(variant: int) -> Sitting:
     scale, high = of_design(0.93, 1.0, variant, 1), of_design(0.100, 0.140, variant, 2)
-    return Sitting((1.00, 1.25), (scale * high, 0.0), (scale * 0.099, -0.22), scale * 0.430)
+    return Sitting((1.00, 1.25), (scale * high, 0.0), (scale * 0.099, -0.22), scale * 0.430, guide_m=_guide(scale, high))
+
+
+def _guide(scale: float, high: float) -> tuple[float, float, float]:
+    return scale * _GUIDE_M[0], scale * _GUIDE_M[1], scale * (high + _GUIDE_M[2])
 
 
 def _on_booster_cushion(variant: int) -> Sitting:
     scale, high = of_design(0.95, 1.02, variant, 1), of_design(0.090, 0.120, variant, 2)
-    return Sitting((1.20, 1.50), (scale * high, 0.0), None, scale * 0.430)
+    return Sitting((1.20, 1.50), (scale * high, 0.0), None, scale * 0.430, guide_m=_guide(scale, high))
 
 
 def _in_toddler(variant: int) -> Sitting:
