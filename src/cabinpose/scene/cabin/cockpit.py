@@ -13,6 +13,8 @@ from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
 
+_FOOTREST_FLATTER, _FOOTREST_ANGLES = np.deg2rad(14.0), np.deg2rad((30.0, 50.0))  # than the pedals; from the horizontal (assumed)
+
 
 @dataclass(frozen=True)
 class DashShape:
@@ -174,9 +176,7 @@ def pedals(layout: Layout, driver_y: float) -> tuple[dict[str, Matrix], list[Par
 
     The accelerator is right of the brake whichever side the driver sits on, so pedals are placed, not mirrored.
     """
-    a = layout.pedal_angle
-    along, out = np.array([rp.cos(a), 0, rp.sin(a)]), np.array([-rp.sin(a), 0, rp.cos(a)])
-    base = PEDAL_LENGTH * along
+    rest = float(np.clip(layout.pedal_angle - _FOOTREST_FLATTER, *_FOOTREST_ANGLES))
     places: dict[str, tuple[float, float, tuple[float, float], float]] = {  # y offset, proud of the plane, pad (long, wide), up
         "accelerator": (-0.115, 0.0, (0.13, 0.055), 0.0),
         "brake": (-0.035 if not layout.d.clutch else -0.025, 0.045, (0.065, 0.105 if not layout.d.clutch else 0.075), 0.02),
@@ -191,10 +191,12 @@ def pedals(layout: Layout, driver_y: float) -> tuple[dict[str, Matrix], list[Par
         if name not in places:
             continue
         dy, proud, (long, wide), up = places[name]
+        a = rest if name == "footrest" else layout.pedal_angle
+        along, out = np.array([rp.cos(a), 0, rp.sin(a)]), np.array([-rp.sin(a), 0, rp.cos(a)])
         pose = np.eye(4)
         pose[:3, 0], pose[:3, 1], pose[:3, 2] = along, (0, 1, 0), out
         y = float(np.clip(driver_y + dy, -room + 0.06, room - 0.06))
-        pose[:3, 3] = base + proud * out + up * along + (0, y, 0)
+        pose[:3, 3] = (PEDAL_LENGTH + up) * along + proud * out + (0, y, 0)
         poses[name] = pose
         pad = rounded_box((long, wide, 0.018), (0.012, 0.012, 0.006), (3, 1, 1), corner=1).shifted(0, 0, -0.009)
         solids = [pad]

@@ -16,6 +16,8 @@ from cabinpose.synth.posture.neighbours import is_opposite
 
 GROUND_M = 0.002  # between a shoe and what it stands on, so that they do not share a surface
 _PEDAL_M = 0.006  # between sole and pad
+_HEEL_M = 0.012  # along the pad, of a heel's roundness behind the sole's end
+_UP_PAD_M = 0.045  # at most, of the ball of a long foot
 _ASIDE_M = {"accelerator": -0.024}  # clear of the brake, which stands proud of it
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
@@ -77,7 +79,7 @@ def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, aside: flo
     to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor
     target = pad.copy()
     target[:3, 3] += _PEDAL_M * out
-    target[:3, 3] += min(ball - to_floor, 0.03) * along + aside * pad[:3, 1]
+    target[:3, 3] += min(ball - to_floor + _HEEL_M, _UP_PAD_M) * along + aside * pad[:3, 1]
     return FootGoal(tool, target, _ON_PEDAL, _PEDAL_KNEE, True)
 
 
