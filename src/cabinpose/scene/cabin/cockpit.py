@@ -13,7 +13,7 @@ from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
 
-_FOOTREST_FLATTER, _FOOTREST_ANGLES = np.deg2rad(14.0), np.deg2rad((30.0, 50.0))  # than the pedals; from the horizontal (assumed)
+_FOOTREST_FLATTER, _FOOTREST_ANGLES = np.deg2rad(10.0), np.deg2rad((30.0, 50.0))  # than the pedals; from the horizontal (assumed)
 
 
 @dataclass(frozen=True)
