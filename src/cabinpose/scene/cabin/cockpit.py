@@ -14,6 +14,7 @@ from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
 
 _FOOTREST_FLATTER, _FOOTREST_ANGLES = np.deg2rad(10.0), np.deg2rad((30.0, 50.0))  # than the pedals; from the horizontal (assumed)
+_FINGERS_M = 0.06  # between the rim and what is ahead of it (assumed)
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,17 @@ def dashboard(layout: Layout) -> list[Part]:
     """The dashboard from side to side, its cluster hood before the driver, vents, screen and glove box."""
     shape, face_x, top_z, low_z = dash_measures(layout)
     cowl_x, driver_y = layout.cowl_x - 0.005, layout.h_front[1]
+    wheel = steering_wheel(layout)
+    centre, up = wheel.vehicle_from_wheel[:3, 3], wheel.vehicle_from_wheel[:3, 0]
+
+    def behind_rim(z: float, y: float) -> float:
+        """How near (x) something at a height may come to the rim, beside the driver's middle, for the fingers around it."""
+        half = np.sqrt(max(wheel.rim_radius_m**2 - (y - driver_y) ** 2, 0.0))
+        if half == 0.0:
+            return -np.inf
+        along = min(max((z - centre[2]) / up[2], -half), half)
+        return float(centre[0] + along * up[0] + wheel.rim_section_m + _FINGERS_M)
+
     stations = np.linspace(-1, 1, 29)
     rings = []
     for v in stations:
@@ -71,7 +83,7 @@ def dashboard(layout: Layout) -> list[Part]:
         edge = float(smoothstep(abs(v), 0.86, 1.0))
         face = face_x + shape.passenger * right - shape.stack * stack * (1 - 0.5 * hood) + 0.03 * edge
         upper = top_z + shape.hood * hood - 0.012 * right - 0.015 * edge
-        brow = face - shape.brow - 0.075 * hood
+        brow = max(face - shape.brow - 0.075 * hood, behind_rim(upper, y) + 0.03 * (1 - hood))
         lower = low_z + 0.02 * right - 0.05 * stack
         front = min(cowl_x - 0.09 * v * v, cowl_x)
         ledge = shape.ledge * (1 - hood) * (1 - stack)
