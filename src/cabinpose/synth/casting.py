@@ -16,7 +16,7 @@ from cabinpose.synth.cars import place_name
 from cabinpose.synth.config import CabinScene
 from cabinpose.synth.occupant import ExactPose
 from cabinpose.synth.plan import Plan
-from cabinpose.synth.posture import FREE_POSES, WITHOUT_SEAT, choose_setting
+from cabinpose.synth.posture import FREE_POSES, WITHOUT_SEAT, choose_setting, with_leg_room
 from cabinpose.synth.posture.neighbours import close_seats, half_breadth
 from cabinpose.synth.posture.sampling import OccupantPose
 from cabinpose.synth.scene import ScenePerson
@@ -98,6 +98,8 @@ class Casting:
             else seat.default
             for slot, seat in cabin.seats.items()
         }
+        seated = {slot: person for slot, person in people.items() if slot not in {**child_seats, **doing, **exact}}
+        settings |= {slot: v for slot, v in with_leg_room(settings, seated, cabin).items() if slot not in exact}
         for slot in (slot for slot in children if not lies_in(child_seats.get(slot, ""))):
             settings |= _moved_forwards(cabin, slot, {s: v for s, v in settings.items() if s not in exact})
         for slot, person in people.items():

@@ -13,6 +13,9 @@ from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface
 from cabinpose.scene.cabin.shapes import block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
 
+_FOOTREST_FLATTER, _FOOTREST_ANGLES = np.deg2rad(10.0), np.deg2rad((30.0, 50.0))  # than the pedals; from the horizontal (assumed)
+_FINGERS_M = 0.06  # between the rim and what is ahead of it (assumed)
+
 
 @dataclass(frozen=True)
 class DashShape:
@@ -58,6 +61,17 @@ def dashboard(layout: Layout) -> list[Part]:
     """The dashboard from side to side, its cluster hood before the driver, vents, screen and glove box."""
     shape, face_x, top_z, low_z = dash_measures(layout)
     cowl_x, driver_y = layout.cowl_x - 0.005, layout.h_front[1]
+    wheel = steering_wheel(layout)
+    centre, up = wheel.vehicle_from_wheel[:3, 3], wheel.vehicle_from_wheel[:3, 0]
+
+    def behind_rim(z: float, y: float) -> float:
+        """How near (x) something at a height may come to the rim, beside the driver's middle, for the fingers around it."""
+        half = np.sqrt(max(wheel.rim_radius_m**2 - (y - driver_y) ** 2, 0.0))
+        if half == 0.0:
+            return -np.inf
+        along = min(max((z - centre[2]) / up[2], -half), half)
+        return float(centre[0] + along * up[0] + wheel.rim_section_m + _FINGERS_M)
+
     stations = np.linspace(-1, 1, 29)
     rings = []
     for v in stations:
@@ -69,7 +83,7 @@ def dashboard(layout: Layout) -> list[Part]:
         edge = float(smoothstep(abs(v), 0.86, 1.0))
         face = face_x + shape.passenger * right - shape.stack * stack * (1 - 0.5 * hood) + 0.03 * edge
         upper = top_z + shape.hood * hood - 0.012 * right - 0.015 * edge
-        brow = face - shape.brow - 0.075 * hood
+        brow = max(face - shape.brow - 0.075 * hood, behind_rim(upper, y) + 0.03 * (1 - hood))
         lower = low_z + 0.02 * right - 0.05 * stack
         front = min(cowl_x - 0.09 * v * v, cowl_x)
         ledge = shape.ledge * (1 - hood) * (1 - stack)
@@ -174,9 +188,7 @@ def pedals(layout: Layout, driver_y: float) -> tuple[dict[str, Matrix], list[Par
 
     The accelerator is right of the brake whichever side the driver sits on, so pedals are placed, not mirrored.
     """
-    a = layout.pedal_angle
-    along, out = np.array([rp.cos(a), 0, rp.sin(a)]), np.array([-rp.sin(a), 0, rp.cos(a)])
-    base = PEDAL_LENGTH * along
+    rest = float(np.clip(layout.pedal_angle - _FOOTREST_FLATTER, *_FOOTREST_ANGLES))
     places: dict[str, tuple[float, float, tuple[float, float], float]] = {  # y offset, proud of the plane, pad (long, wide), up
         "accelerator": (-0.115, 0.0, (0.13, 0.055), 0.0),
         "brake": (-0.035 if not layout.d.clutch else -0.025, 0.045, (0.065, 0.105 if not layout.d.clutch else 0.075), 0.02),
@@ -191,10 +203,12 @@ def pedals(layout: Layout, driver_y: float) -> tuple[dict[str, Matrix], list[Par
         if name not in places:
             continue
         dy, proud, (long, wide), up = places[name]
+        a = rest if name == "footrest" else layout.pedal_angle
+        along, out = np.array([rp.cos(a), 0, rp.sin(a)]), np.array([-rp.sin(a), 0, rp.cos(a)])
         pose = np.eye(4)
         pose[:3, 0], pose[:3, 1], pose[:3, 2] = along, (0, 1, 0), out
         y = float(np.clip(driver_y + dy, -room + 0.06, room - 0.06))
-        pose[:3, 3] = base + proud * out + up * along + (0, y, 0)
+        pose[:3, 3] = (PEDAL_LENGTH + up) * along + proud * out + (0, y, 0)
         poses[name] = pose
         pad = rounded_box((long, wide, 0.018), (0.012, 0.012, 0.006), (3, 1, 1), corner=1).shifted(0, 0, -0.009)
         solids = [pad]

@@ -30,3 +30,4 @@ from .sampling import sample_pose as sample_pose
 from .seating import SeatOffset as SeatOffset
 from .seating import choose_setting as choose_setting
 from .seating import draw_offset as draw_offset
+from .seating import with_leg_room as with_leg_room

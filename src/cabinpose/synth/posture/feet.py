@@ -16,6 +16,8 @@ from cabinpose.synth.posture.neighbours import is_opposite
 
 GROUND_M = 0.002  # between a shoe and what it stands on, so that they do not share a surface
 _PEDAL_M = 0.006  # between sole and pad
+_HEEL_M = 0.012  # along the pad, of a heel's roundness behind the sole's end
+_UP_PAD_M = 0.045  # at most, of the ball of a long foot
 _ASIDE_M = {"accelerator": -0.024}  # clear of the brake, which stands proud of it
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
@@ -25,7 +27,15 @@ _STANDING = np.array([1.5, 1.5, 6.0, 0.4, 0.4, 0.15])
 _HANGING = np.array([0.6, 0.6, 0.6, 0.02, 0.02, 0.02])
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
-_SHIN_LEAN = rp.sin(math.radians(24.0))  # a shin that leans back further lets the knee rise from the cushion instead
+_KNEE_OUT = np.array((0.0, 1.0, -0.7, 0.0, 0.0, 0.0))  # abduction, and the rotation that keeps the foot in its place (assumed)
+_BESIDE_PITCH = math.radians(22.0)  # of a driver's sole on its heel on the floor
+# Legs crossed at the thighs (assumed): above the lower knee and past the middle, m; shin from the vertical and aside; toes down.
+_OVER_M, _OVER_SHIN, _OVER_ASIDE, _OVER_TOES = (0.135, 0.045), math.radians(24.0), 0.15, math.radians(25.0)
+_OVER_KNEE = np.radians((100.0, -18.0, 5.0, 85.0, -15.0, 0.0))
+_IN_AIR = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+_SHIN_LEAN = math.radians(24.0)  # of a foot drawn back: a shin that would lean back further lets the knee rise instead
+_FLAT_LEAN = math.radians(25.0)  # of a shin; the sole of one that leans back further rises from the floor, but for the heel
+_HEEL_BACK_M = 0.015  # of the skin, behind the sole's origin
 # Of what a front seat stands on behind its H-point: feet go under the rear of a high seat, not of a low one.
 _SEAT_BASE_M = (0.10, 0.20)
 _HIGH_SEAT_M = 0.25  # of an H-point above the floor
@@ -40,15 +50,21 @@ _SHIN_BEHIND = 0.015  # how far an ankle may stand behind the knee: what the sea
 
 
 class FootPlan(NamedTuple):
-    """One foot's intent: pedal name or None for the floor; the rest moves a foot on the floor.
+    """One foot's intent: pedal name or None for the floor; the rest moves a foot on the floor, but for the knee.
 
-    forward: m, from where it would rest · out: m, to the side of the hip · toe_out: rad.
+    forward: m, from where it would rest · out: m, to the side of the hip · toe_out: rad · knee_out: rad, by which the comfortable
+    thigh turns out · lean: rad, how far back a shin may lean before the knee rises from the cushion instead · across: m, how far
+    an ankle is past the body's middle, None where legs are not crossed · over: whether this leg hangs over the other one's thigh.
     """
 
     pedal: str | None = None
     forward: float = 0.0
     out: float = 0.0
     toe_out: float = float(_TOE_OUT)
+    knee_out: float = 0.0
+    lean: float = _SHIN_LEAN
+    across: float | None = None
+    over: bool = False
 
 
 class FootGoal(NamedTuple):
@@ -64,11 +80,10 @@ class FootGoal(NamedTuple):
     must: bool
 
 
-def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, aside: float) -> FootGoal:
+def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, plan: FootPlan) -> FootGoal:
     """The ball of a foot on a pad (vehicle_from_pad), sole along it and heel on the floor.
 
-    The foot slides down the pad by what it is shorter than the 200 mm from heel to ball of SAE J4004, and stands `aside` m
-    to the left of its middle.
+    The foot slides down the pad by what it is shorter than the 200 mm from heel to ball of SAE J4004.
     """
     tool = person.rest.soles[side].copy()
     ball = float(person.rest.joint_offset[CABINPOSE.index["lr"[side] + "foot"], 0] - tool[0, 3])
@@ -77,8 +92,8 @@ def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, aside: flo
     to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor
     target = pad.copy()
     target[:3, 3] += _PEDAL_M * out
-    target[:3, 3] += min(ball - to_floor, 0.03) * along + aside * pad[:3, 1]
-    return FootGoal(tool, target, _ON_PEDAL, _PEDAL_KNEE, True)
+    target[:3, 3] += min(ball - to_floor + _HEEL_M, _UP_PAD_M) * along + _ASIDE_M.get(plan.pedal or "", 0.0) * pad[:3, 1]
+    return FootGoal(tool, target, _ON_PEDAL, _turned_out(_PEDAL_KNEE, plan), True)
 
 
 def _on_floor(seated: SeatContext, root: Matrix, side: int, plan: FootPlan) -> FootGoal:
@@ -109,14 +124,53 @@ def _on_floor(seated: SeatContext, root: Matrix, side: int, plan: FootPlan) -> F
         ankle = knee + np.array([rp.sin(swing) * shin + plan.forward, 0.0, -shin * min(rp.cos(swing), 0.99)])
         pitch = math.radians(12.0) if swing == _HANGING_SHIN else -0.7 * swing
     else:
-        lean = min(np.sqrt(shin * shin - drop * drop), _SHIN_LEAN * shin)
-        ankle_x = min(knee[0] + lean, max(reach, knee[0] - _SHIN_BEHIND))
-        ankle = np.array([max(ankle_x + plan.forward, knee[0] - _SHIN_BEHIND), 0.0, floor + ankle_height])
-        pitch = 0.0
+        lean = min(np.sqrt(shin * shin - drop * drop), rp.sin(plan.lean) * shin)
+        farthest = max(reach, knee[0] - _SHIN_BEHIND)
+        ankle_x = max(min(knee[0] + lean + plan.forward, farthest), knee[0] - _SHIN_BEHIND)
+        pitch = -max(rp.arcsin(min(max((ankle_x - knee[0]) / shin, 0.0), 1.0)) - _FLAT_LEAN, 0.0)
+        ankle = np.array([ankle_x, 0.0, floor + ankle_height])
     rotation = rp.matmul(rotation_vector((0.0, 0.0, s * plan.toe_out)), rotation_vector((0.0, pitch, 0.0)))
-    ankle[1] = _between(s * (hip_half + _KNEES_OUT_M + plan.out), side, seated.neighbours.feet)
+    if plan.across is None:
+        ankle[1] = _between(s * (hip_half + _KNEES_OUT_M + plan.out), side, seated.neighbours.feet)
+    else:
+        ankle[1] = -s * plan.across
+    place = ankle + rp.matmul(rotation, sole[:3, 3])
+    if not hangs:  # on the heel
+        place[2] = floor + GROUND_M - _HEEL_BACK_M * rp.sin(pitch)
+    target = rp.matmul(vehicle_from_seat, transform(rotation, place))
+    return FootGoal(sole, target, _HANGING if hangs else _STANDING, _turned_out(_FREE_KNEE, plan), False)
+
+
+def _turned_out(leg: Floats, plan: FootPlan) -> Floats:
+    """The comfortable leg (6,) rad with its knee out: the thigh goes aside, and turns for the foot to stay."""
+    return leg + plan.knee_out * _KNEE_OUT
+
+
+def _beside_pedals(seated: SeatContext, side: int, plan: FootPlan) -> FootGoal:
+    """A driver's foot on the floor behind the pedals, on its heel: under the wheel there is no room for knees that rise."""
+    pads, seat = seated.cabin.pedals, seated.seat
+    beside = pads.get("footrest", pads["accelerator"])
+    heel = beside[:3, 3] - (beside[2, 3] - seat.floor_z) / max(beside[2, 0], 1e-6) * beside[:3, 0]
+    s = 1.0 - 2.0 * side
+    rotation = rp.matmul(rotation_vector((0.0, 0.0, s * plan.toe_out)), rotation_vector((0.0, -_BESIDE_PITCH, 0.0)))
+    place = heel + (plan.forward, -s * plan.out, GROUND_M + _HEEL_BACK_M * rp.sin(_BESIDE_PITCH))
+    return FootGoal(seated.person.rest.soles[side], transform(rotation, place), _STANDING, _turned_out(_PEDAL_KNEE, plan), False)
+
+
+def _over_thigh(seated: SeatContext, root: Matrix, side: int, plan: FootPlan) -> FootGoal:
+    """A leg over the other one's thigh: its knee above that knee, the shin hanging, the toes down."""
+    person, fit, s = seated.person, seated.fit, 1.0 - 2.0 * side
+    vehicle_from_seat = seated.seat.vehicle_from_seat(seated.setting)
+    hip_half = float(person.rest.offsets[BONE_INDEX["lthigh"], 1])
+    hip = rp.matmul(invert(vehicle_from_seat), root, np.array([0.0, s * hip_half, 0.0, 1.0]))[:3]
+    thigh, shin = person.segment_lengths["thigh"], person.segment_lengths["shin"]
+    up, aside = _OVER_M[0] + thigh * rp.sin(fit.thigh_angle), -s * (hip_half + _OVER_M[1])
+    knee = hip + np.array([np.sqrt(max(thigh * thigh - up * up - aside * aside, 0.04)), aside, up])
+    ankle = knee + shin * np.array([rp.sin(_OVER_SHIN), -s * _OVER_ASIDE, -rp.cos(_OVER_SHIN)]) + (plan.forward, 0.0, 0.0)
+    rotation = rp.matmul(rotation_vector((0.0, 0.0, -s * plan.toe_out)), rotation_vector((0.0, _OVER_TOES, 0.0)))
+    sole = person.rest.soles[side]
     target = rp.matmul(vehicle_from_seat, transform(rotation, ankle + rp.matmul(rotation, sole[:3, 3])))
-    return FootGoal(sole, target, _HANGING if hangs else _STANDING, _FREE_KNEE, False)
+    return FootGoal(sole, target, _IN_AIR, _OVER_KNEE, False)
 
 
 def _between(y: float, side: int, room: tuple[float, float]) -> float:
@@ -140,12 +194,15 @@ def foot_goals(seated: SeatContext, root: Matrix, plans: tuple[FootPlan, FootPla
     """
     result = []
     for side, plan in enumerate(plans):
-        if plan.pedal is None:
+        if plan.over:
+            result.append(_over_thigh(seated, root, side, plan))
+        elif plan.pedal is not None:
+            result.append(_on_pedal(seated.person, side, seated.cabin.pedals[plan.pedal], seated.seat.floor_z, plan))
+        elif drives(seated.seat, seated.cabin):
+            result.append(_beside_pedals(seated, side, plan))
+        else:
             own = plan._replace(forward=min(plan.forward, 0.0)) if seated.neighbours.faced else plan
             result.append(_on_floor(seated, root, side, own))
-        else:
-            pad, aside = seated.cabin.pedals[plan.pedal], _ASIDE_M.get(plan.pedal, 0.0)
-            result.append(_on_pedal(seated.person, side, pad, seated.seat.floor_z, aside))
     return result[0], result[1]
 
 
@@ -160,9 +217,14 @@ def _room_ahead(seat: Seat, cabin: Cabin, faced: bool) -> float:
     return float(front[0] - seat.design_h_point[0]) - _SEAT_BASE_M[0 if front[2] > _HIGH_SEAT_M else 1]
 
 
+def drives(seat: Seat, cabin: Cabin) -> bool:
+    """Whether the feet of who sits here are at the pedals."""
+    return seat.foot_support == "pedals" and "accelerator" in cabin.pedals
+
+
 def default_plans(seat: Seat, cabin: Cabin) -> tuple[FootPlan, FootPlan]:
     """Driver: left on the footrest, right on the accelerator; everyone else: both on the floor."""
-    if seat.foot_support != "pedals" or "accelerator" not in cabin.pedals:
+    if not drives(seat, cabin):
         return FootPlan(), FootPlan()
     left = "footrest" if "footrest" in cabin.pedals else None
     return FootPlan(left), FootPlan("accelerator")

@@ -18,13 +18,14 @@ from cabinpose.scene.contact import PlacedField
 from cabinpose.synth.posture import hands as at
 from cabinpose.synth.posture.actions import BREATHING, OWN_ACTIONS, Action, action_named, actions_for, drawn_angle, inboard_side
 from cabinpose.synth.posture.context import SeatContext, Trunk
-from cabinpose.synth.posture.feet import MISS_M, FootPlan, default_plans, foot_goals
+from cabinpose.synth.posture.feet import MISS_M, foot_goals
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.gaze import head_goal
 from cabinpose.synth.posture.goals import TASKS, HandGoal, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.intents import carrying, holding, intents, with_fingers
-from cabinpose.synth.posture.neighbours import LOW_TUNNEL_M, NOBODY, Neighbours, tunnel_m
+from cabinpose.synth.posture.legs import leg_plans
+from cabinpose.synth.posture.neighbours import NOBODY, Neighbours
 from cabinpose.synth.posture.places import Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.posture.touching import Touch, meet
@@ -32,11 +33,6 @@ from cabinpose.synth.profiles import Profile
 
 _UNHELD = 0.3  # of what a wheel is turned by, where no hand holds it
 _LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
-_OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
-_KNEES_IN_M = 0.02  # of a child, against those of somebody on a wide cushion
-# Passengers' legs: feet drawn back raise the front of 40 % of thighs (Reed 2020, UMTRI-2020-2); the rest is assumed.
-_APART, _ONE_BACK, _TOGETHER = 0.20, 0.45, 0.15  # shares of knees apart, of one foot behind the other, of knees together
-_KNEES_APART_M, _KNEES_TOGETHER_M, _FOOT_BACK_M = 0.05, 0.03, 0.045
 _GRIP_SIGMA = 0.025
 _SLUMPED = 3.0  # of a loin's small spread: how people differ, from upright to slumped (assumed)
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
@@ -185,7 +181,7 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     root = seated.vehicle_from_root(drawn_angle(action.pelvis, rng=rng))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
-    feet = foot_goals(seated, root, _foot_plans(seated, rng))
+    feet = foot_goals(seated, root, leg_plans(seated, rng=rng))
     q, slumped = seated.fit.q.copy(), _SLUMPED if seated.on is None else 1.0
     slump = _move_trunk(q, action, side_sign, slumped, rng)
     if seated.on is None:  # a child seat's back leaves no room for it
@@ -349,47 +345,3 @@ def _move_trunk(q: Floats, action: Action, side_sign: float, slumped: float, rng
         d = DOF_INDEX[name]
         q[d] = _clip(q[d] + value, LOWER[d], UPPER[d])
     return slump
-
-
-def _foot_plans(seated: SeatContext, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
-    """Feet that differ from frame to frame; those of a child hang over the cushion of its seat."""
-    left, right = _varied_plans(seated.seat, seated.cabin, rng)
-    if seated.on is None:
-        return left, right
-    rests = seated.on.thing.sitting is not None and not seated.on.thing.sitting.harness
-    return _hanging(left, rests), _hanging(right, rests)
-
-
-def _varied_plans(seat: Seat, cabin: Cabin, rng: np.random.Generator) -> tuple[FootPlan, FootPlan]:
-    """Another pedal, feet one before the other, knees apart or together."""
-    plans = list(default_plans(seat, cabin))
-    chance, both = float(rng.random()), 0.02 * float(rng.standard_normal())
-    apart = max(0.02 * float(rng.standard_normal()), -0.02)
-    draws = rng.standard_normal((2, 2))
-    if abs(float(seat.design_h_point[1])) < 0.05 and tunnel_m(cabin) > LOW_TUNNEL_M:
-        apart += _OVER_TUNNEL_M
-    if plans[1].pedal == "accelerator":
-        if chance < 0.25 and "brake" in cabin.pedals:
-            plans[1] = FootPlan("brake")
-        elif chance > 0.85:
-            plans[0] = FootPlan("clutch" if "clutch" in cabin.pedals and chance > 0.95 else None, -0.05)
-        return plans[0], plans[1]
-    roomy = not seat.slot.startswith("rear")  # behind another seat legs have little choice
-    if roomy and chance < _APART:
-        apart += _KNEES_APART_M + 0.02 * abs(float(draws[0, 1]))
-    elif chance > 1.0 - _TOGETHER:
-        apart = -_KNEES_TOGETHER_M
-    back = 0 if draws[0, 0] > draws[1, 0] else 1
-    for side in (0, 1):
-        forward = both + 0.015 * float(draws[side, 0])
-        if roomy and _APART < chance < _APART + _ONE_BACK and side == back:  # farther than the other one
-            forward -= _FOOT_BACK_M * float(0.3 + min(abs(draws[0, 0] - draws[1, 0]), 2.0))
-        plans[side] = FootPlan(
-            None, forward, apart + 0.01 * float(draws[side, 1]), math.radians(7.0 + 4.0 * float(draws[side, 1]))
-        )
-    return plans[0], plans[1]
-
-
-def _hanging(plan: FootPlan, rests: bool) -> FootPlan:
-    """The foot of a child whose shins hang over a cushion: not drawn back into it, the knees between the `rests` of its seat."""
-    return plan._replace(forward=max(plan.forward, 0.0), out=min(plan.out, 0.0) - _KNEES_IN_M if rests else plan.out)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +19,10 @@ from cabinpose.synth.posture.seat_fit import fit_seat
 # and elbow 128 deg between the segments, with the spread of their 55 drivers.
 _KNEE, _KNEE_SPREAD = np.radians(59.0), np.radians(10.0)
 _ELBOW, _ELBOW_SPREAD = np.radians(52.0), np.radians(19.0)
+# The foot against the leg: theirs were 80 to 113 deg, those of 127 drivers 85 to 113 (Wolf 2022); 90 is 0 here.
+_ANKLE, _ANKLE_SPREAD = np.radians(-2.0), np.radians(7.0)
+# Who likes to sit far off likes straighter knees and elbows: so many of both spreads for one of a person's taste.
+_TASTE, _TASTE_STEPS, _MOST_TASTE = 1.1, 2, 2.0  # of which whole and half ones are known, so that settings are shared
 _RECLINE_SPREAD = np.radians(3.0)
 _BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
 _THIGH_GAP_M, _THIGH_SPREAD_M = 0.035, 0.012  # between the rim and the thighs
@@ -29,6 +35,15 @@ _OFFSET_SIGMAS = 2.0  # where a draw of an offset is cut
 _BACK_SHARE, _ASIDE_SHARE = 0.3, 0.6  # what the backrest, and what bolsters and neighbours leave of it
 _ROLL_SHARE = 0.3  # a pelvis turns more on a cushion than it tilts
 _VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m) and recline (rad)
+
+
+# Front passengers' backrests: mean 25.4, SD 6.4 deg, 15 % above 30 (Reed 2020, UMTRI-2020-2). Against the seat's default, deg, of
+# a normal number: the mean, the part of each, and what those above `_LEANS_FROM` lean back more (so shaped: assumed).
+_RECLINED_DEG, _LEANS_FROM = (1.0, 4.0, 12.0), 0.9
+_FULL_REAR = -0.74  # and below it the seat is at the rear end of its travel: 23 %, 92 % behind the middle (the same study)
+_BACKREST_M, _KNEE_M, _RAISED_THIGH = 0.11, 0.10, 0.82  # depth of a backrest; before a knee joint; cosine of a thigh's slope
+# By how much a front seat is moved forward for the knees behind it, at most: drivers hardly move theirs (assumed).
+_MOVED_M = {"driver": 0.04, "front_passenger": 0.15}
 
 
 class SeatOffset(NamedTuple):
@@ -75,16 +90,24 @@ def choose_setting(
     low, high = seat.ranges
     tallness = float(np.clip((person.stature_m - _SHORT_M) / (_TALL_M - _SHORT_M), 0.0, 1.0))
     height = high.height_m + tallness * (low.height_m - high.height_m)
+    if variation > 0.0 and rng is None:
+        raise ValueError("a variation of the seat needs rng")
+    varied = np.zeros(3) if rng is None or variation == 0.0 else variation * rng.standard_normal(3)
     if seat.foot_support == "pedals" and cabin.steering_wheel is not None:
-        setting = _driver_setting(person, cabin, seat.slot, height)
+        taste = float(np.clip(np.round(_TASTE_STEPS * varied[0]) / _TASTE_STEPS, -_MOST_TASTE, _MOST_TASTE))
+        varied[0] -= taste
+        setting = _driver_setting(person, cabin, seat.slot, height, taste)
     else:
-        fore_aft = float(np.interp(tallness, (0.0, 0.5, 1.0), (0.35 * high.fore_aft_m, 0.0, low.fore_aft_m)))
+        fore_aft = float(np.interp(tallness, (0.0, 0.5, 1.0), (0.2 * high.fore_aft_m, -0.02, low.fore_aft_m)))
         setting = SeatSetting(fore_aft, 0.5 * height, seat.default.torso_angle)
     if variation > 0.0:
-        if rng is None:
-            raise ValueError("a variation of the seat needs rng")
-        change = variation * np.asarray(_VARIATION) * rng.standard_normal(3)
+        change = np.asarray(_VARIATION) * varied
         setting = SeatSetting(setting.fore_aft_m + change[0], setting.height_m + change[1], setting.torso_angle + change[2])
+        if seat.slot == "front_passenger":
+            mean, each, more = _RECLINED_DEG
+            leant = mean * variation + each * varied[2] + more * max(varied[2] - _LEANS_FROM, 0.0)
+            rear = low.fore_aft_m if varied[0] < _FULL_REAR else setting.fore_aft_m
+            setting = replace(setting, fore_aft_m=rear, torso_angle=seat.default.torso_angle + float(np.radians(leant)))
     recline = float(np.clip(setting.torso_angle, low.torso_angle, high.torso_angle))
     return SeatSetting(
         float(np.clip(setting.fore_aft_m, low.fore_aft_m, high.fore_aft_m)),
@@ -94,11 +117,51 @@ def choose_setting(
     )
 
 
+def with_leg_room(settings: Mapping[str, SeatSetting], people: Mapping[str, Person], cabin: Cabin) -> dict[str, SeatSetting]:
+    """Front seats moved forward by what the knees of who sits behind them need, up to what their people would give.
+
+    Parameters
+    ----------
+    settings
+        Of all seats.
+    people
+        Who sits in them, by slot.
+    cabin
+        The car.
+    """
+    result = dict(settings)
+    for slot, person in people.items():
+        seat = cabin.seats[slot]
+        before = next(
+            (f for f in _MOVED_M if slot.startswith("rear") and f in cabin.seats and _is_before(cabin.seats[f], seat)), None
+        )
+        if before is None:
+            continue
+        front, own = cabin.seats[before], settings[before]
+        hip = float(seat.h_point(settings[slot])[0])
+        slide = float(fit_seat(person, seat, settings[slot].torso_angle).seat_from_root[0, 3])
+        thigh = person.segment_lengths["thigh"]
+        knee = hip + slide + _RAISED_THIGH * thigh + _KNEE_M
+        h_point = front.h_point(own)
+        above = 0.57 * thigh + float(seat.h_point(settings[slot])[2] - h_point[2])
+        back = float(h_point[0]) - front.backrest_behind_h_m - _BACKREST_M - above * float(rp.tan(own.torso_angle))
+        moved = min(max(knee - back, 0.0), _MOVED_M[before])
+        result[before] = replace(own, fore_aft_m=min(own.fore_aft_m + moved, max(front.ranges[1].fore_aft_m, own.fore_aft_m)))
+    return result
+
+
+def _is_before(front: Seat, seat: Seat) -> bool:
+    """Whether somebody in a seat has the back of a front seat before the knees."""
+    same_way = rp.cos(front.facing_yaw - seat.facing_yaw) > 0.0
+    return same_way and float(front.design_h_point[1] * seat.design_h_point[1]) > 0.0
+
+
 @kept_with_person
-def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> SeatSetting:
+def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, taste: float) -> SeatSetting:
     """The least discomfort over fore-aft, height and recline, in closed form in side view.
 
-    Reclines are tried from the seat's default on, and no farther than their own share of the discomfort allows.
+    Reclines are tried from the seat's default on, and no farther than their own share of the discomfort allows. taste: how much
+    farther off than most a person likes to sit, in standard deviations.
     """
     seat, wheel = cabin.seats[slot], cabin.steering_wheel
     assert wheel is not None  # the caller saw to it
@@ -111,6 +174,7 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
     ball = rest.joint_offset[CABINPOSE.index["rfoot"], 0] - sole[0, 3]
     # The ankle of a foot that lies on the pad with its heel on the floor.
     along, out = pad[:3, 0], pad[:3, 2]
+    pad_angle = float(rp.arctan2(along[2], along[0]))
     heel = pad[:3, 3] - (pad[2, 3] - seat.floor_z) / along[2] * along
     ankle = heel - sole[0, 3] * along - sole[2, 3] * out
     slack = max(0.0, ball - 0.23)  # very long feet bring the ankle back
@@ -131,6 +195,7 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
         hip = h_points + fit.seat_from_root[:3, 3]
         leg = rp.hypot(*(ankle - hip)[:, [0, 2]].T)
         knee = _flexion(thigh, shin, leg)
+        dorsiflexion = pad_angle - 0.5 * np.pi + _shin_angle(hip, ankle, thigh, shin, leg)
         shoulder = h_points + fit.shoulders.mean(axis=0)
         beside = wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
         elbow = _flexion(arm, forearm, rp.hypot(rp.hypot(*(grip - shoulder)[:, [0, 2]].T), beside) - _PALM_REACH_M)
@@ -141,8 +206,9 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float) -> S
             gap[at] = rim_bottom[0] - h_points[at, 0] - fit.front[level, 0].max() if level.any() else 1.0
         thigh_gap = _under_rim(hip, ankle, thigh, shin, rim_bottom, float(fit.thigh_top.max())) - wheel.rim_section_m
         cost = (
-            ((knee - _KNEE) / _KNEE_SPREAD) ** 2
-            + ((elbow - _ELBOW) / _ELBOW_SPREAD) ** 2
+            ((knee - _KNEE) / _KNEE_SPREAD + _TASTE * taste) ** 2
+            + ((elbow - _ELBOW) / _ELBOW_SPREAD + _TASTE * taste) ** 2
+            + ((dorsiflexion - _ANKLE) / _ANKLE_SPREAD + _TASTE * taste) ** 2
             + ((place[:, 0] - height) / _HEIGHT_SPREAD_M) ** 2
             + unease(recline)
             + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
@@ -165,6 +231,13 @@ def _flexion(upper: float, lower: float, distance: Floats) -> Floats:
     """Flexion (N,) rad of the hinge between two segments whose ends are `distance` (N,) apart; 0 where it is too far."""
     cosine = (upper * upper + lower * lower - distance * distance) / (2 * upper * lower)
     return np.asarray(np.pi - rp.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _shin_angle(hip: Floats, ankle: Floats, thigh: float, shin: float, leg: Floats) -> Floats:
+    """How far (N,) rad a shin falls forward from the knee, below the horizontal, in side view; hips (N, 3), `leg` (N,) m long."""
+    x, z = (ankle - hip)[:, [0, 2]].T
+    at_ankle = rp.arccos(np.clip((shin * shin + leg * leg - thigh * thigh) / (2 * shin * leg), -1.0, 1.0))
+    return np.asarray(at_ankle - rp.arctan2(z, x))
 
 
 def _under_rim(hip: Floats, ankle: Floats, thigh: float, shin: float, rim: Floats, top: float) -> Floats:
