@@ -8,6 +8,14 @@ from typing import Annotated, Protocol
 import numpy
 from numpy.typing import NDArray
 
+class LainOn(Protocol):
+    @property
+    def labels(self) -> Annotated[NDArray[numpy.uint8], dict(shape=(None,), writable=False)]: ...
+    @property
+    def kinds(self) -> Annotated[NDArray[numpy.uint8], dict(shape=256, writable=False)]: ...
+    @property
+    def limbs(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 7), writable=False)]: ...
+
 class TrunkBones(Protocol):
     @property
     def ends(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, 2, 3), writable=False)]: ...
@@ -34,6 +42,7 @@ def any_nearer(
 def belt_ribbon(
     skin: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), writable=False)],
     faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), writable=False)],
+    lain_on: LainOn,
     bones: TrunkBones,
     course: Annotated[NDArray[numpy.float64], dict(shape=(4, 3), writable=False)],
     webbing: Webbing,

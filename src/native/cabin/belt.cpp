@@ -80,9 +80,16 @@ bool of_trunk(Vec3 point, const std::vector<Piece>& pieces, std::size_t n_trunk)
   return true;
 }
 
+/// Whether a face of a limb, by its kind and centre, is near enough to the limb's root.
+bool near_root(const LainOn& lain_on, int kind, Vec3 center) {
+  const double* limb = &lain_on.limbs(kind - 2, 0);
+  const Vec3 bone = vec3(limb + 3);
+  return dot(center - vec3(limb), bone) / dot(bone, bone) < limb[6];
+}
+
 /// Points where the planes cut the trunk's triangles, one list a plane.
-void cut_sections(Array<const float, any, 3> skin, Array<const std::int32_t, any, 3> faces, const TrunkBones& bones,
-                  const Planes& planes, Workspace& work) {
+void cut_sections(Array<const float, any, 3> skin, Array<const std::int32_t, any, 3> faces, const LainOn& lain_on,
+                  const TrunkBones& bones, const Planes& planes, Workspace& work) {
   const Vec3 n = planes.normal;
   const double shift = dot(n, planes.origin);
   work.signed_distance.resize(static_cast<std::size_t>(skin.size()));
@@ -98,6 +105,8 @@ void cut_sections(Array<const float, any, 3> skin, Array<const std::int32_t, any
   prepare(bones, work.pieces);
   const std::size_t n_trunk = std::min(static_cast<std::size_t>(bones.n_trunk), work.pieces.size());
   for (Index f = 0; f < faces.size(); ++f) {
+    const int kind = lain_on.kinds(lain_on.labels(f));
+    if (kind == 0) continue;
     const std::int32_t* corner = faces[f].data();
     const float da = signed_distance[corner[0]], db = signed_distance[corner[1]], dc = signed_distance[corner[2]];
     const double low = static_cast<double>(std::min(std::min(da, db), dc));
@@ -109,6 +118,7 @@ void cut_sections(Array<const float, any, 3> skin, Array<const std::int32_t, any
     double center[3];
     const float* p[3] = {at + 3 * corner[0], at + 3 * corner[1], at + 3 * corner[2]};
     for (int k = 0; k < 3; ++k) center[k] = static_cast<double>(p[0][k] + p[1][k] + p[2][k]) / 3.0;
+    if (kind > 1 && !near_root(lain_on, kind, vec3(center))) continue;
     if (!of_trunk(vec3(center), work.pieces, n_trunk)) continue;
     const double d[3] = {static_cast<double>(da), static_cast<double>(db), static_cast<double>(dc)};
     for (int row = 0; row < n_rows; ++row) {
@@ -272,15 +282,15 @@ Planes planes_of(Array<const double, 4, 3> course, double width) {
 
 }  // namespace
 
-bool belt_ribbon(Array<const float, any, 3> skin, Array<const std::int32_t, any, 3> faces, TrunkBones bones,
-                 Array<const double, 4, 3> course, Webbing webbing, Array<float, 2, any, 3, 3> vertices,
+bool belt_ribbon(Array<const float, any, 3> skin, Array<const std::int32_t, any, 3> faces, const LainOn& lain_on,
+                 TrunkBones bones, Array<const double, 4, 3> course, Webbing webbing, Array<float, 2, any, 3, 3> vertices,
                  Array<float, 2, any, 3, 3> normals) {
   static thread_local Workspace work;
   const std::size_t steps = static_cast<std::size_t>(vertices.size(1));
   const Planes planes = planes_of(course, webbing.width);
   work.lines.resize(steps);
   work.laid.resize(steps);
-  cut_sections(skin, faces, bones, planes, work);
+  cut_sections(skin, faces, lain_on, bones, planes, work);
   draw_lines(planes, webbing.gap, work);
   for (std::size_t s = 0; s < steps; ++s) {
     for (std::size_t row = 0; row < n_rows; ++row) {

@@ -32,10 +32,7 @@ _COLLAR, _PAD = 0.48, 0.62  # from the neck to a shoulder: where a belt lies on 
 _CREASE = (0.14, 0.03)  # along the thighs from the hips, and above their bones (m of an adult)
 # Of a harness, by the width of its straps: the buckle, across, up, and out of the body; and where its two tongues go into it.
 _BUCKLE, _TONGUES = np.array((1.25, 1.6, 0.55)), np.array(((0.32, 0.55, 0.05), (-0.32, 0.55, 0.05)))
-_UNDER = (
-    0.2,
-    0.12,
-)  # from the buckle to where the strap between the legs comes out of the cushion: along them, down (m of an adult)
+_UNDER = (0.2, 0.12)  # along the legs and down (m of an adult): from the buckle to where the strap between them leaves the cushion
 _BESIDE_M, _OVER_RIM_M, _HANGS_M = 0.02, 0.006, (0.035, 0.14)  # of a loose strap: its rim, and how it hangs there, out and down
 STEPS = 40  # cross-sections of a ribbon
 
@@ -48,9 +45,8 @@ _TRUNK = (
     ("lpelvis", "lknee", 0.0, 0.4, 0.085), ("rpelvis", "rknee", 0.0, 0.4, 0.085),
 )  # fmt: skip
 _NEAR_HIP, _ON_THIGHS = 0.4, 0.8  # how far down the thighs a lap part lies: on a seat of a car, and on one of a child
-# The classes that belts lie on, and how far down arms and thighs: the lap belt farther than one before the chest, which does not
-# climb a thigh.
-_LAIN_ON = np.isin(np.arange(256), [LABEL[name] for name in LABEL if name.startswith(("torso", "hip_center", "shoulder"))])
+# The limbs that belts lie on near their roots: class, joints, and how far down: the lap belt farther than one before the chest,
+# which does not climb a thigh.
 _ROOTS = tuple(
     (LABEL[f"{part}_{side}"], CABINPOSE.index[side[0] + near], CABINPOSE.index[side[0] + far], shares)
     for side in ("left", "right")
@@ -60,6 +56,13 @@ _ROOTS = tuple(
         ("thigh", "pelvis", "knee", (0.1, _NEAR_HIP)),
     )
 )
+_ROOT_OF, _END_OF = (np.array([root[n] for root in _ROOTS]) for n in (1, 2))
+_UP_TO = np.array([root[3] for root in _ROOTS]).T  # of a belt before the chest, and of a lap part
+# What belts lie on by class, as `belt_ribbon` has it: the trunk all over, limbs near their roots. Of a thing, everywhere.
+_KINDS = np.isin(np.arange(256), [LABEL[name] for name in LABEL if name.startswith(("torso", "hip_center", "shoulder"))])
+_KINDS = _KINDS.astype(np.uint8)
+_KINDS[[root[0] for root in _ROOTS]] = 2 + np.arange(len(_ROOTS))
+_EVERYWHERE = np.ones(256, np.uint8)
 _KNEES = CABINPOSE.indices(("lknee", "rknee"))
 _BONES = np.array([(CABINPOSE.index[a], CABINPOSE.index[b]) for a, b, *_ in _TRUNK], dtype=np.int64)
 _PIECE = np.array([piece for _, _, *piece, _ in _TRUNK])[:, :, None]
@@ -188,11 +191,12 @@ def _flat(path: Floats, aside: Vector, width_m: float) -> Solid:
 class _Trunk(NamedTuple):
     """What belts lie on: the surface, the pieces of the trunk's bones, and directions and places of the body, m.
 
-    faces: those before the chest, and those that a lap belt lies on · shoulders: whether what surrounds their bones is trunk.
+    lain_on: which faces a belt before the chest lies on, and a lap part · shoulders: whether what surrounds their bones is trunk.
     """
 
     skin: Floats32
-    faces: tuple[Ints32, Ints32]
+    faces: Ints32
+    lain_on: tuple[_LainOn, _LainOn]
     bones: Floats
     at: Mapping[str, Floats]
     pelvis: Vector
@@ -217,15 +221,17 @@ class _Trunk(NamedTuple):
         bones = ends[:, :1] + _PIECE * (ends[:, 1:] - ends[:, :1])  # (bones, 2, 3)
         vertices = np.ascontiguousarray(wearer.vertices, dtype=np.float32)
         faces = np.ascontiguousarray(wearer.faces, dtype=np.int32)
-        return cls(
-            vertices, _lain_on(wearer._replace(vertices=vertices, faces=faces), thighs), bones, at, pelvis, up, ahead, size
-        )
+        roots = joints[_ROOT_OF]
+        up_to = _UP_TO[0], np.where(np.isin(_END_OF, _KNEES), thighs, _UP_TO[1])
+        limbs = (np.concatenate((roots, joints[_END_OF] - roots, share[:, None]), axis=1) for share in up_to)
+        chest, lap = (_LainOn(wearer.labels, _KINDS, each) for each in limbs)
+        return cls(vertices, faces, (chest, lap), bones, at, pelvis, up, ahead, size)
 
     @classmethod
     def without_bones(cls, surface: Surface, down: Vector, ahead: Vector) -> _Trunk:
         """Of a thing: all of it is lain on."""
-        faces, bones = (surface.faces, surface.faces), np.zeros((len(_GIRTH), 2, 3))
-        return cls(surface.vertices, faces, bones, {}, np.zeros(3), -down, ahead, 1.0)
+        everywhere, bones = _LainOn(surface.label, _EVERYWHERE, np.empty((0, 7))), np.zeros((len(_GIRTH), 2, 3))
+        return cls(surface.vertices, surface.faces, (everywhere, everywhere), bones, {}, np.zeros(3), -down, ahead, 1.0)
 
     def shoulder_at(self, anchor: Vector) -> Vector:
         """The shoulder beside an anchor; a place between the two where somebody leans so far that both are about as near."""
@@ -248,18 +254,6 @@ class _Trunk(NamedTuple):
     def collar(self, shoulder: Vector, share: float = _COLLAR) -> Vector:
         """The middle between neck and arm; share: another place on the way to the shoulder."""
         return np.asarray((1.0 - share) * self.at["neck"] + share * shoulder + 0.03 * self.size * self.ahead)
-
-
-def _lain_on(wearer: Wearer, thighs: float) -> tuple[Ints32, Ints32]:
-    """The faces that a belt before the chest and a lap belt lie on, whatever is near them; thighs: as of `_Trunk.of`."""
-    skin, faces, labels, joints = wearer
-    chest, lap = [faces[_LAIN_ON[labels]]], [faces[_LAIN_ON[labels]]]
-    for label, near, far, shares in _ROOTS:
-        limb, bone = faces[labels == label], joints[far] - joints[near]
-        along = rp.matmul(skin[limb].mean(axis=1) - joints[near], bone) / (rp.matmul(bone, bone))
-        chest.append(limb[along < shares[0]])
-        lap.append(limb[along < (thighs if far in _KNEES else shares[1])])
-    return np.concatenate(chest), np.concatenate(lap)
 
 
 def belt_surface(skin: Floats32, faces: Ints32, joints: Floats, *where: Any, labels: Bytes, **options: Any) -> Surface:
@@ -326,6 +320,14 @@ def _kept_in_front(start: Vector, through: Vector, end: Vector, front: Vector) -
     return np.asarray(through + reach * (rp.cos(kept) * ahead + rp.sin(kept) * across - aside))
 
 
+class _LainOn(NamedTuple):
+    """Which faces a belt lies on: their classes (F,), kinds (256,) of classes, roots, bones (m) and shares (n, 7) of limbs."""
+
+    labels: Bytes
+    kinds: Bytes
+    limbs: Floats
+
+
 class _TrunkBones(NamedTuple):
     """Pieces of bones, ends (N, 2, 3) m and girth (N,) m of the flesh around them, the `n_trunk` of the trunk first."""
 
@@ -369,8 +371,8 @@ def _ribbon(body: _Trunk, course: _Course, gap: float, width: float = WEBBING_WI
     order = [*mine, *(() if body.shoulders else _SHOULDERS)]
     trunk = _TrunkBones(body.bones[order], _GIRTH[order], len(mine))
     webbing = _Webbing(width, WEBBING_THICKNESS, gap)
-    faces = body.faces[course.lap][: 0 if straight else None]
-    turned = native.belt_ribbon(body.skin, faces, trunk, rows, webbing, vertices=vertices, normals=normals)
+    faces, lain_on = body.faces[: 0 if straight else None], body.lain_on[course.lap]
+    turned = native.belt_ribbon(body.skin, faces, lain_on, trunk, rows, webbing, vertices=vertices, normals=normals)
     topology = _ribbon_faces(turned)
     return Surface(
         vertices.reshape(-1, 3),
