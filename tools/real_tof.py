@@ -266,7 +266,7 @@ def kinect_v2(data: Path) -> tuple[list[Row], list[F64]]:
     radius = off_axis(sensor.camera)
     flat = ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4)
     ours = seen(scene, sensor, noise)
-    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_threshold_m": 0.15}))
+    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_threshold_m": 0.2}))
     region = radius < 145
     rows = list(edge_rows("Kinect v2", real, ours, region, by_distance=False))
     rows += edge_rows("Kinect v2, edges out", real, removed, region)
@@ -352,7 +352,7 @@ def azure_kinect(data: Path) -> tuple[list[Row], list[F64]]:
     sensor = sensor.model_copy(update={**figures, "min_amplitude_e": FLOOR / unit, "full_well_e": 60000 / unit})
     print(f"azure: {unit:.3g} units an electron, read noise {sensor.read_noise_e:.3g} electrons")
     ours = seen(scene, sensor, noise)
-    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_width_px": 2}))
+    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_neighbours": 8}))
     rows = list(edge_rows("Azure Kinect", real, ours, field & ~saturated, by_distance=False))
     rows += edge_rows("Azure Kinect, edges out", real, removed, field & ~saturated)
     for low, some in levels:
