@@ -52,7 +52,7 @@ def test_edges_are_noisier_and_spikes_are_taken_out() -> None:
 
 
 def test_edges_are_taken_out_by_their_neighbours() -> None:
-    """Beside a straight step five of eight neighbours are on the same side: both pixels go, of neighbours 2 px away two on each side."""
+    """Beside a straight step five of eight neighbours are on the same side: both go; of neighbours 2 px away two on each side."""
     sensor = small_sensor()
     edge = step_edge(sensor, 0.8, 1.4, 80)  # between pixels 39 and 40
     before = simulate(edge, sensor, PLAIN, rng=generator(2, 1))

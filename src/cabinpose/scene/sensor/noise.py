@@ -1,7 +1,8 @@
 """What noise models have in common: effects that installed packages add to any of them, edges of depth, and the camera's filters.
 
-Sources of the rule for edges: Basler's manual of the blaze (feature *Outlier Removal*: how many of the 8 neighbours have to lie within
-a share of a pixel's own distance); libfreenect2's edge test of the Kinect v2 looks at the same neighbours. Both see decoded depth alone.
+Sources of the rule for edges: Basler's manual of the blaze (feature *Outlier Removal*: how many of the 8 neighbours have to
+lie within a share of a pixel's own distance); libfreenect2's edge test of the Kinect v2 looks at the same neighbours. Both see
+decoded depth alone.
 """
 
 from __future__ import annotations
@@ -96,7 +97,9 @@ class EdgeRule(CameraNoise):
     edge_threshold_m: float = Field(
         default=0.10, gt=0, description="Depth step that makes an abrupt edge (m); of `empirical` noise across two pixels."
     )
-    edge_width_px: int = Field(default=1, ge=1, le=8, description="How far away the neighbours are by which edges are found (px).")
+    edge_width_px: int = Field(
+        default=1, ge=1, le=8, description="How far away the neighbours are by which edges are found (px)."
+    )
     edge_tolerance: float = Field(
         default=0.05, gt=0, le=1, description="Of `remove_edges`: the same as a share of the depth; the smaller of both counts."
     )
@@ -107,7 +110,7 @@ class EdgeRule(CameraNoise):
         default=False, description="Pixels with too few neighbours at their delivered depth are invalid, as cameras' filters do."
     )
 
-    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:  # noqa: ARG002 - a camera knows its depth
+    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:  # noqa: ARG002
         """Takes edges out, where they are to be, and smooths the depth as the sensor does."""
         if self.remove_edges:
             invalidate(frame, edge_pixels(frame.depth_m, self))
