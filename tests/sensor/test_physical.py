@@ -215,16 +215,18 @@ def test_edges_go_by_the_depth_that_is_delivered() -> None:
     np.testing.assert_array_equal(cleaned[~gone], kept[~gone])
 
 
-def test_neighbours_are_counted_as_by_definition() -> None:
+@pytest.mark.parametrize("holes", [True, False])
+def test_neighbours_are_counted_as_by_definition(holes: bool) -> None:
     """Noise, holes and a slope: the count of a loop over all windows of 3 x 3, without borders."""
     rng = generator(7, 7)
     depth = (1.0 + 0.01 * np.arange(40) + rng.normal(0, 0.02, (30, 40))).astype(np.float32)
     depth[rng.random(depth.shape) < 0.05] = np.nan
-    rule = PhysicalNoise(edge_tolerance=0.03, edge_threshold_m=0.035, edge_neighbours=6)
+    rule = PhysicalNoise(edge_tolerance=0.03, edge_threshold_m=0.035, edge_neighbours=6, edge_holes=holes)
 
     def few(window: np.ndarray) -> bool:
         near = np.abs(window - window[4]) <= min(0.035, 0.03 * window[4])
-        return near.sum() - near[4] < 6
+        ignored = 0 if holes else 9 if np.isnan(window[4]) else np.isnan(window).sum()
+        return near.sum() - near[4] + ignored < 6
 
     expected = ndimage.generic_filter(depth.astype(np.float64), few, 3)[1:-1, 1:-1] > 0
     assert 0.2 < expected.mean() < 0.8
@@ -429,6 +431,7 @@ SWITCHES: dict[str, object] = {
 DETAILS: dict[str, tuple[object, dict[str, object]]] = {
     "edge_threshold_m": (0.01, {"remove_edges": True}), "edge_width_px": (3, {"remove_edges": True}),
     "edge_tolerance": (0.01, {"remove_edges": True}), "edge_neighbours": (4, {"remove_edges": True}),
+    "edge_holes": (False, {"remove_edges": True}),
     "sun_width_m": (0.1, {"sun": 200.0}), "fixed_pattern_seed": (1, {"fixed_pattern_mm": 5.0}),
     "multipath_unseen": (0.5, {"multipath": True}), "lens_scatter_px": (60.0, {"lens_scatter": 0.05}),
 }  # fmt: skip

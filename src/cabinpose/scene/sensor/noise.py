@@ -1,8 +1,8 @@
 """What noise models have in common: effects that installed packages add to any of them, edges of depth, and the camera's filters.
 
 Sources of the rule for edges: Basler's manual of the blaze (feature *Outlier Removal*: how many of the 8 neighbours have to
-lie within a share of a pixel's own distance); libfreenect2's edge test of the Kinect v2 looks at the same neighbours. Both see
-decoded depth alone.
+lie within a share of a pixel's own distance); libfreenect2's edge test of the Kinect v2 looks at the same neighbours, of which it
+leaves out invalid ones. Both see decoded depth alone.
 """
 
 from __future__ import annotations
@@ -106,6 +106,9 @@ class EdgeRule(CameraNoise):
     edge_neighbours: int = Field(
         default=7, ge=1, le=8, description="Of `remove_edges`: so many of the 8 neighbours have to be no farther off than that."
     )
+    edge_holes: bool = Field(
+        default=True, description="Of `remove_edges`: invalid neighbours are farther off too; off: they do not count."
+    )
     remove_edges: bool = Field(
         default=False, description="Pixels with too few neighbours at their delivered depth are invalid, as cameras' filters do."
     )
@@ -119,17 +122,18 @@ class EdgeRule(CameraNoise):
 
 
 def edge_pixels(depth: Floats32, rule: EdgeRule) -> Bools:
-    """(H, W): where fewer neighbours than asked for lie near the depth (m, NaN = none); the image's border repeats."""
+    """(H, W): where fewer neighbours than asked for lie near the depth (m, NaN = none); beyond the image's border it repeats."""
     reach = rule.edge_width_px
     height, width = depth.shape
     padded = np.pad(depth, reach, mode="edge")
     near = np.minimum(np.float32(rule.edge_threshold_m), np.float32(rule.edge_tolerance) * depth)
-    count = np.zeros(depth.shape, np.uint8)
+    far = np.zeros(depth.shape, np.uint8)
     for y in (0, reach, 2 * reach):
         for x in (0, reach, 2 * reach):
             if (y, x) != (reach, reach):
-                count += np.abs(padded[y : y + height, x : x + width] - depth) <= near
-    return np.asarray(count < rule.edge_neighbours)
+                off = np.abs(padded[y : y + height, x : x + width] - depth)
+                far += ~(off <= near) if rule.edge_holes else off > near
+    return np.asarray(far > 8 - rule.edge_neighbours)
 
 
 def invalidate(frame: SensorFrame, where: Bools) -> None:
