@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from cabinpose.core import OCCUPANT_SLOTS
-from cabinpose.scene import DYES, HAIR, LABEL_ID, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
+from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype, hair_shares
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, sensor_by_name, simulate
+from cabinpose.scene.things import make_thing
 from cabinpose.store import AXES
 from cabinpose.synth import FrameMaker, People, RandomPeople, SynthConfig
 from cabinpose.synth.person_look import WORN, look_of, worn_faces
@@ -154,22 +155,43 @@ def test_amplitudes_are_those_of_the_labels() -> None:
     assert checked >= 3
 
 
-def test_the_dye_of_a_car_is_on_the_car_alone() -> None:
-    """A toddler seat of hard plastic in a car whose plastic is drawn: the one reflects as its material, the other as its coat."""
-    plastic = MATERIAL_ID["hard_plastic"]
+def test_the_dyes_of_car_and_things_are_on_these_alone() -> None:
+    """A toddler seat of plastic and cloth in a car of both: each surface reflects as the dye that was drawn for it, in a band."""
     scene_of = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "child_seats": {"rear_left": "toddler"}}
     maker = FrameMaker(SynthConfig.parse({"scene": scene_of}), 0)
     _, scene = maker.make(0)
     surface = scene.surface()
     found = maker._reflectances.of(scene, surface)
     reflects = material_table(True, True, 0.0, 0.0, 850, found.coats)[found.surface.material, 0]
-    (drawn_plastic,) = {coat.reflectance for coat in found.coats if coat.material == plastic}
     of_car = np.arange(len(surface.faces)) < len(scene.backdrop.faces)
-    of_seat = (surface.material == plastic) & (surface.label == LABEL_ID["child_seat"])
-    assert of_seat.any()
-    np.testing.assert_allclose(reflects[of_seat], MATERIALS[plastic].reflectance, rtol=1e-6)
-    np.testing.assert_allclose(reflects[of_car & (surface.material == plastic)], drawn_plastic, rtol=1e-6)
-    assert abs(drawn_plastic - MATERIALS[plastic].reflectance) > 0.01
+    ((thing, *_),) = scene.things
+    start = len(surface.faces) - len(thing.surface.faces) - sum(len(each.faces) for each in scene.fastenings)
+    of_thing = np.zeros(len(surface.faces), bool)
+    of_thing[start : start + len(thing.surface.faces)] = True
+    dyed = [name for name in DYES if (thing.surface.material == MATERIAL_ID.get(name, 0)).any()]
+    assert "hard_plastic" in dyed
+    for name in dyed:
+        here = of_thing & (surface.material == MATERIAL_ID[name])
+        values = {float(value) for value in reflects[here]}
+        assert len(values) == 1
+        assert any(d.low - 1e-6 <= min(values) <= max(d.high, 0.9 * d.to_the_eye) for d in DYES[name])
+    plastic = surface.material == MATERIAL_ID["hard_plastic"]
+    assert len(set(reflects[of_car & plastic])) == 1
+    assert set(reflects[of_car & plastic]) != set(reflects[of_thing & plastic])
+    undyed = ~np.isin(surface.material, [MATERIAL_ID.get(name, 0) for name in DYES])
+    table = {material.id: material.reflectance for material in MATERIALS}
+    np.testing.assert_allclose(reflects[of_thing & undyed], [table[m] for m in surface.material[of_thing & undyed]], rtol=1e-6)
+
+
+def test_covers_of_things_are_black_to_some_cameras_and_bright_to_others() -> None:
+    """Over seeds, child seats' cloth takes the shares of its dyes."""
+    thing = make_thing("toddler", 0)
+    cloth = MATERIAL_ID["seat_fabric"]
+    found = [
+        {coat.material: coat.reflectance for coat in Reflectances(seed, 850)._draw_thing(thing)}[cloth] for seed in range(200)
+    ]
+    assert 0.1 < np.mean(np.array(found) < 0.09) < 0.4
+    assert np.mean(np.array(found) > 0.34) > 0.5
 
 
 def test_coats_stand_in_place_of_materials_and_wavelengths_choose_columns() -> None:
@@ -210,7 +232,7 @@ def test_smooth_surfaces_shine_where_they_face_the_camera(name: str) -> None:
 def test_what_is_in_rooms_is_of_its_material() -> None:
     found = Reflectances(0, 850)
     surface = SimpleNamespace(faces=np.zeros((5, 3), np.int32), material=np.full(5, MATERIAL_ID["painted_wall"], np.uint8))
-    scene: Any = SimpleNamespace(cabin=None, people=(), backdrop=surface, place="room")
+    scene: Any = SimpleNamespace(cabin=None, things=(), people=(), backdrop=surface, place="room")
     whole = Surface(*np.zeros((2, 1, 3), np.float32), surface.faces, *np.repeat(surface.material[None], 3, axis=0))
     assert found.of(scene, whole).coats == ()
     np.testing.assert_array_equal(found.of(scene, whole).surface.material, surface.material)

@@ -1,4 +1,4 @@
-"""What the surfaces of a scene reflect in near infrared: skin and hair of each person, dye of each garment, trim of each car.
+"""What the surfaces of a scene reflect in near infrared: skin and hair of people, dyes of garments, of cars' trim and of things.
 
 Drawn apart from the colours, with which they agree only as far as one pigment absorbs both: black cloth may be bright, and a blue
 print dark. The same in every frame of a dataset, of a seed, a name and a camera's wavelength alone.
@@ -15,10 +15,11 @@ from cabinpose.core import Bytes, Floats
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import DYES, FIRST_COAT, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import Outfit, Person, worn
+from cabinpose.scene.things import Thing
 from cabinpose.store import AXES
 from cabinpose.synth.once import cached_once
 from cabinpose.synth.person_look import NOT_WORN, WORN, PersonLook, look_of, worn_faces
-from cabinpose.synth.pictures.look import draw_trim
+from cabinpose.synth.pictures.look import draw_trim, thing_colours
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import own_rng
 
@@ -68,6 +69,7 @@ class Reflectances:
         self._seed, self._wavelength = seed, wavelength_nm
         self.person = cached_once(_KEPT)(self._draw_person)
         self._car = cached_once(_KEPT)(self._draw_car)
+        self._thing = cached_once(_KEPT)(self._draw_thing)
 
     def of(self, scene: Scene, surface: Surface) -> SceneReflectance:
         """What is seen of a scene; surface: `scene.surface()`."""
@@ -88,6 +90,14 @@ class Reflectances:
             np.copyto(body, found.faces + np.uint8(first), where=found.faces != NOT_WORN)
             coats += [Coat(first + k, MATERIAL_ID[found.material[name]], found.reflectance[name]) for k, name in enumerate(WORN)]
             start += sum(len(s.faces) for s in who.surfaces)
+        code = FIRST_COAT + len(scene.people) * len(WORN) + len(_OF_CARS)
+        for thing, *_ in scene.things:
+            own, of = thing.surface.material, material[start : start + len(thing.surface.faces)]
+            for coat in self._thing(thing):
+                of[own == coat.material] = code
+                coats.append(coat._replace(code=code))
+                code += 1
+            start += len(of)
         return SceneReflectance(replace(surface, material=material), tuple(coats), labels)
 
     def _draw_person(self, subject: str, person: Person) -> WornReflectance:
@@ -105,12 +115,23 @@ class Reflectances:
         return WornReflectance(result, material, worn_faces(person, look))
 
     def _draw_car(self, place: str) -> tuple[Coat, ...]:
-        rng = own_rng(self._seed, f"near infrared of {place}")
         colours: Mapping[str, Floats] = draw_trim(rng=own_rng(self._seed, place)).colours()
+        return self._coats(place, {name: colours[name] for name in _OF_CARS})
+
+    def _draw_thing(self, thing: Thing) -> tuple[Coat, ...]:
+        """Of what things of this design are made of, where that is dyed."""
+        name = f"{thing.kind} {thing.variant}"
+        colours, of = thing_colours(thing.surface, rng=own_rng(self._seed, name)), thing.surface.material
+        made_of = {each: of == MATERIAL_ID[each] for each in DYES if each in MATERIAL_ID and (of == MATERIAL_ID[each]).any()}
+        return self._coats(name, {each: colours[where].mean(axis=0, dtype=np.float64) for each, where in made_of.items()})
+
+    def _coats(self, owner: str, colours: Mapping[str, Floats]) -> tuple[Coat, ...]:
+        """Of materials by name, whose colours are linear sRGB (3,)."""
+        rng = own_rng(self._seed, f"near infrared of {owner}")
         coats = []
-        for name in _OF_CARS:
+        for name, colour in colours.items():
             kind, rank = rng.random(2).tolist()
-            value = self._dyed(name, kind, rank, float(rp.matmul(_LUMINANCE, colours[name])))
+            value = self._dyed(name, kind, rank, float(rp.matmul(_LUMINANCE, colour)))
             coats.append(Coat(MATERIAL_ID[name], MATERIAL_ID[name], value))
         return tuple(coats)
 
