@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cabinpose.core import OCCUPANT_SLOTS
+from cabinpose.core import OCCUPANT_SLOTS, Camera, apply, invert, look_at
 from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype, hair_shares
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, sensor_by_name, simulate
@@ -17,7 +17,8 @@ from cabinpose.scene.things import make_thing
 from cabinpose.store import AXES
 from cabinpose.synth import FrameMaker, People, RandomPeople, SynthConfig
 from cabinpose.synth.person_look import WORN, look_of, worn_faces
-from cabinpose.synth.reflectances import Reflectances
+from cabinpose.synth.reflectances import Print, Reflectances, SceneReflectance
+from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.subjects import Subjects
 
 LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
@@ -192,6 +193,33 @@ def test_covers_of_things_are_black_to_some_cameras_and_bright_to_others() -> No
     ]
     assert 0.1 < np.mean(np.array(found) < 0.09) < 0.4
     assert np.mean(np.array(found) > 0.34) > 0.5
+
+
+def test_prints_have_borders_as_fine_as_pixels() -> None:
+    """A striped cloth of two triangles, half as wide and shifted as it is worn: each pixel goes by its place at rest."""
+    corners = np.array([(1.0, 0.4, -0.3), (1.0, -0.4, -0.3), (1.0, -0.4, 0.3), (1.0, 0.4, 0.3)], np.float32)
+    faces = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
+    cloth, code = 66, 71
+    none, material = np.zeros(2, np.uint8), np.array([cloth, code], np.uint8)  # by its middle one triangle is printed
+    surface = Surface(corners, np.tile(np.array((-1, 0, 0), np.float32), (4, 1)), faces, none, material, none)
+    rest = corners * np.array((1.0, 0.5, 0.5), np.float32) + np.array((0.0, 0.0, 0.013), np.float32)
+    found = SceneReflectance(surface, (), {}, (Print(cloth, code, "stripes", 0, rest[faces]),))
+    assert (found.plain.material == cloth).all()
+    camera = Camera.from_fov(120, 100, 1.0)
+    world_from_camera = look_at((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    seen = Rasteriser(camera, 2).render(found.plain, invert(world_from_camera))
+    buffers = found.printed(seen, camera, world_from_camera)
+    points = apply(world_from_camera, camera.points(seen.depth_clean).reshape(-1, 3)).reshape(100, 120, 3)
+    height = points[..., 2] * 0.5 + 0.013
+    sure = (seen.face_id >= 0) & (np.abs(height / 0.04 - np.rint(height / 0.04)) > 0.01)
+    expected = np.where(np.floor(height / 0.04) % 2 == 1, code, cloth)
+    assert sure.sum() > 3000
+    np.testing.assert_array_equal(buffers.material[sure], expected[sure])
+    pixels = buffers.material.reshape(-1)[buffers.mixed]
+    assert np.isin(code, buffers.parts_material)
+    assert ((buffers.parts_material == pixels[:, None]) | ~np.isin(buffers.parts_material, (cloth, code))).all(
+        where=(pixels > 0)[:, None]
+    )
 
 
 def test_coats_stand_in_place_of_materials_and_wavelengths_choose_columns() -> None:

@@ -117,9 +117,9 @@ class FrameMaker:
             for person in scene.people:
                 joints_3d[self._slots.index(person.slot)] = apply(camera_from_world, person.posed.joints)
             rendered = self._rasteriser.render(
-                found.surface, camera_from_world, closed=scene.closed, joints=joints_3d, instances=self._instances
+                found.plain, camera_from_world, closed=scene.closed, joints=joints_3d, instances=self._instances
             )
-            buffers = replace(rendered.buffers, coats=found.coats)
+            buffers = found.printed(rendered, self._sensor.camera, scene.world_from_camera)
         sun = None if self.config.sunlight is None else self.config.sunlight.draw(self._seed, index, self._sequence)
         if sun is not None and self._sun_view is not None:
             with self.stage("sunlight"):
@@ -143,5 +143,5 @@ class FrameMaker:
     def _view(self, scene: Scene) -> GeometryBuffers:
         """What the camera sees of a scene."""
         found = self._reflectances.of(scene, scene.surface())
-        rendered = self._rasteriser.render(found.surface, invert(scene.world_from_camera), closed=scene.closed)
-        return replace(rendered.buffers, coats=found.coats).copy()
+        rendered = self._rasteriser.render(found.plain, invert(scene.world_from_camera), closed=scene.closed)
+        return found.printed(rendered, self._sensor.camera, scene.world_from_camera).copy()

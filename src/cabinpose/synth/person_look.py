@@ -126,12 +126,12 @@ def worn_faces(person: Person, look: PersonLook) -> Bytes:
         if pattern:
             of = np.flatnonzero(place == WORN.index(part))
             middle = dressed.rest[dressed.faces[of]].mean(axis=1)
-            place[of[_printed(pattern, middle)]] = WORN.index(f"{part}_print")
+            place[of[printed(pattern, middle)]] = WORN.index(f"{part}_print")
     return place
 
 
-def _printed(pattern: str, at: Floats) -> Bools:
-    """(N,) which triangles of a garment a pattern colours, by their middles at rest (N, 3) m."""
+def printed(pattern: str, at: Floats) -> Bools:
+    """(N,) which places on a garment a pattern colours, by where they are at rest (N, 3) m."""
     if pattern == "stripes":
         return np.asarray(np.floor(at[:, 2] / _STRIPE_M) % 2 == 1)
     return np.asarray((np.floor(at[:, 2] / _CHECK_M) + np.floor(at[:, 1] / _CHECK_M)) % 2 == 1)

@@ -8,18 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cabinpose.core import Bytes, Floats
+from cabinpose.core import Bytes, Camera, Floats, Matrix, apply
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import DYES, FIRST_COAT, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import Outfit, Person, worn
+from cabinpose.scene.sensor import GeometryBuffers
 from cabinpose.scene.things import Thing
 from cabinpose.store import AXES
 from cabinpose.synth.once import cached_once
-from cabinpose.synth.person_look import NOT_WORN, WORN, PersonLook, look_of, worn_faces
+from cabinpose.synth.person_look import NOT_WORN, WORN, PersonLook, look_of, printed, worn_faces
 from cabinpose.synth.pictures.look import draw_trim, thing_colours
+from cabinpose.synth.render import RenderedFrame, corner_shares
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import own_rng
 
@@ -33,12 +37,14 @@ _KEPT = 32  # people and cars that are remembered
 class WornReflectance:
     """What somebody's surfaces reflect.
 
-    reflectance, material: of each of `person_look.WORN` · faces: (F,) which of them each triangle is, as `worn_faces` says.
+    reflectance, material: of each of `person_look.WORN` · faces: (F,) which of them each triangle is, as `worn_faces` says ·
+    patterns: of `PersonLook`.
     """
 
     reflectance: Mapping[str, float]
     material: Mapping[str, str]
     faces: Bytes
+    patterns: Mapping[str, str]
 
     def labels(self, outfit: Outfit, wavelength_nm: Wavelength) -> tuple[float, ...]:
         """What is on each place of the axis `worn` of datasets reflects, NaN where nothing is."""
@@ -50,16 +56,62 @@ class WornReflectance:
         )
 
 
+class Print(NamedTuple):
+    """A pattern on a garment.
+
+    cloth, code: of the coats of cloth and print · pattern: as in `PersonLook.patterns` · first: the wearer's first triangle in
+    the scene's surface · rest: (F, 3, 3) corners of the wearer's triangles at rest, m.
+    """
+
+    cloth: int
+    code: int
+    pattern: str
+    first: int
+    rest: NDArray[np.floating]
+
+
 @dataclass(frozen=True)
 class SceneReflectance:
     """A scene's surface, whose material is a code of `coats` where they have one; and what each person's places reflect.
 
-    worn: by slot, over the axis `worn` of datasets.
+    Prints are on whole triangles there, and where they are to the pixel in what `printed` makes of a view of `plain`.
+
+    worn: by slot, over the axis `worn` of datasets · prints: of all who wear one.
     """
 
     surface: Surface
     coats: tuple[Coat, ...]
     worn: Mapping[str, tuple[float, ...]]
+    prints: tuple[Print, ...] = ()
+
+    @property
+    def plain(self) -> Surface:
+        """The surface with the coats of cloth in place of those of prints."""
+        if not self.prints:
+            return self.surface
+        table = np.arange(256, dtype=np.uint8)
+        table[[each.code for each in self.prints]] = [each.cloth for each in self.prints]
+        return replace(self.surface, material=table[self.surface.material])
+
+    def printed(self, seen: RenderedFrame, camera: Camera, world_from_camera: Matrix) -> GeometryBuffers:
+        """Buffers of a view of `plain`, with prints where a pattern has them at the pixels' centres; in the view's memory."""
+        buffers = replace(seen.buffers, coats=self.coats)
+        material, face = buffers.material.reshape(-1), seen.face_id.reshape(-1)
+        for each in self.prints:
+            at = np.flatnonzero((material == each.cloth) & (face >= each.first) & (face < each.first + len(each.rest)))
+            if not at.size:
+                continue
+            triangle = face[at].astype(np.int64)
+            points = apply(world_from_camera, camera.points(seen.depth_clean).reshape(-1, 3)[at])
+            share, _ = corner_shares(self.surface, triangle, points)
+            share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-30)
+            coloured = at[printed(each.pattern, np.einsum("nk,nkj->nj", share, each.rest[triangle - each.first]))]
+            material[coloured] = each.code
+            whole = np.zeros(material.size, np.bool_)
+            whole[coloured] = True
+            parts = buffers.parts_material
+            parts[whole[buffers.mixed][:, None] & (parts == each.cloth)] = each.code
+        return buffers
 
 
 class Reflectances:
@@ -74,7 +126,7 @@ class Reflectances:
     def of(self, scene: Scene, surface: Surface) -> SceneReflectance:
         """What is seen of a scene; surface: `scene.surface()`."""
         material = surface.material.copy()
-        start, coats, labels = len(scene.backdrop.faces), list[Coat](), {}
+        start, coats, labels, prints = len(scene.backdrop.faces), list[Coat](), {}, list[Print]()
         if scene.cabin is not None:
             first = FIRST_COAT + len(scene.people) * len(WORN)
             for k, coat in enumerate(self._car(scene.trim)):
@@ -89,6 +141,11 @@ class Reflectances:
             body = material[start : start + len(found.faces)]
             np.copyto(body, found.faces + np.uint8(first), where=found.faces != NOT_WORN)
             coats += [Coat(first + k, MATERIAL_ID[found.material[name]], found.reflectance[name]) for k, name in enumerate(WORN)]
+            for part, pattern in found.patterns.items():
+                if pattern:
+                    cloth, code = (first + WORN.index(name) for name in (part, f"{part}_print"))
+                    dressed = who.person.dressed
+                    prints.append(Print(cloth, code, pattern, start, dressed.rest[dressed.faces]))
             start += sum(len(s.faces) for s in who.surfaces)
         code = FIRST_COAT + len(scene.people) * len(WORN) + len(_OF_CARS)
         for thing, *_ in scene.things:
@@ -98,7 +155,7 @@ class Reflectances:
                 coats.append(coat._replace(code=code))
                 code += 1
             start += len(of)
-        return SceneReflectance(replace(surface, material=material), tuple(coats), labels)
+        return SceneReflectance(replace(surface, material=material), tuple(coats), labels, tuple(prints))
 
     def _draw_person(self, subject: str, person: Person) -> WornReflectance:
         rng = own_rng(self._seed, f"near infrared of {subject}")
@@ -112,7 +169,7 @@ class Reflectances:
                 dyes = "print" if name.endswith("_print") else material[name]
                 seen = float(rp.matmul(_LUMINANCE, look.colours[name]))
                 result[name] = self._dyed(dyes, float(kinds[k]), float(ranks[k]), seen)
-        return WornReflectance(result, material, worn_faces(person, look))
+        return WornReflectance(result, material, worn_faces(person, look), look.patterns)
 
     def _draw_car(self, place: str) -> tuple[Coat, ...]:
         colours: Mapping[str, Floats] = draw_trim(rng=own_rng(self._seed, place)).colours()
