@@ -17,7 +17,7 @@ from cabinpose.scene.things import make_thing
 from cabinpose.store import AXES
 from cabinpose.synth import FrameMaker, People, RandomPeople, SynthConfig
 from cabinpose.synth.person_look import WORN, look_of, worn_faces
-from cabinpose.synth.reflectances import Print, Reflectances, SceneReflectance
+from cabinpose.synth.reflectances import Pattern, Print, Reflectances, SceneReflectance, _whole_cells
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.subjects import Subjects
 
@@ -196,14 +196,18 @@ def test_covers_of_things_are_black_to_some_cameras_and_bright_to_others() -> No
 
 
 def test_prints_have_borders_as_fine_as_pixels() -> None:
-    """A striped cloth of two triangles, half as wide and shifted as it is worn: each pixel goes by its place at rest."""
-    corners = np.array([(1.0, 0.4, -0.3), (1.0, -0.4, -0.3), (1.0, -0.4, 0.3), (1.0, 0.4, 0.3)], np.float32)
-    faces = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
+    """A striped cloth, half as wide and shifted as it is worn: each pixel goes by its place at rest, whole triangles too."""
+    across, up = np.meshgrid(np.linspace(0.4, -0.4, 21), np.linspace(-0.3, 0.3, 31))
+    corners = np.stack((np.ones(across.size), across.ravel(), up.ravel()), axis=1).astype(np.float32)
+    first = (21 * np.arange(30)[:, None] + np.arange(20)).reshape(-1, 1)
+    faces = np.concatenate((first + [[0, 1, 22]], first + [[0, 22, 21]])).astype(np.int32)
     cloth, code = 66, 71
-    none, material = np.zeros(2, np.uint8), np.array([cloth, code], np.uint8)  # by its middle one triangle is printed
-    surface = Surface(corners, np.tile(np.array((-1, 0, 0), np.float32), (4, 1)), faces, none, material, none)
-    rest = corners * np.array((1.0, 0.5, 0.5), np.float32) + np.array((0.0, 0.0, 0.013), np.float32)
-    found = SceneReflectance(surface, (), {}, (Print(cloth, code, "stripes", 0, rest[faces]),))
+    none, material = np.zeros(len(faces), np.uint8), np.where(np.arange(len(faces)) % 2, cloth, code).astype(np.uint8)
+    surface = Surface(corners, np.tile(np.array((-1, 0, 0), np.float32), (len(corners), 1)), faces, none, material, none)
+    rest = corners * (1.0, 0.5, 0.5) + (0.0, 0.0, 0.013)
+    pattern = Pattern("top", "stripes", _whole_cells("stripes", rest[faces]), rest[faces])
+    assert 0.1 < (np.abs(pattern.faces) < 100).mean() < 0.9, "some are in one stripe"
+    found = SceneReflectance(surface, (), {}, (Print(cloth, code, 0, pattern),))
     assert (found.plain.material == cloth).all()
     camera = Camera.from_fov(120, 100, 1.0)
     world_from_camera = look_at((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cabinpose.core import Bytes, Camera, Floats, Matrix, apply
+from cabinpose.core import Bytes, Camera, Floats, Ints, Matrix, apply
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import DYES, FIRST_COAT, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import Outfit, Person, worn
@@ -21,16 +20,39 @@ from cabinpose.scene.sensor import GeometryBuffers
 from cabinpose.scene.things import Thing
 from cabinpose.store import AXES
 from cabinpose.synth.once import cached_once
-from cabinpose.synth.person_look import NOT_WORN, WORN, PersonLook, look_of, printed, worn_faces
+from cabinpose.synth.person_look import NOT_WORN, WORN, PersonLook, look_of, pattern_cells, worn_faces
 from cabinpose.synth.pictures.look import draw_trim, thing_colours
-from cabinpose.synth.render import RenderedFrame, corner_shares
+from cabinpose.synth.render import RenderedFrame
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import own_rng
 
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
 _OF_CARS = ("seat_fabric", "seat_leather", "soft_trim", "hard_plastic", "headliner", "carpet", "steering_leather")
 _AT = {material.name: material.at for material in MATERIALS}
+_ACROSS = np.iinfo(np.int64).min  # of a triangle that a pattern's border goes through
 _KEPT = 32  # people and cars that are remembered
+
+
+class Pattern(NamedTuple):
+    """What is printed on a garment.
+
+    part: of `WORN` · kind: as in `PersonLook.patterns` · faces: (F,) the stripe or check that holds all of a triangle of the
+    wearer's, `_ACROSS` where a border goes through it · rest: (F, 3, 3) their corners at rest, m.
+    """
+
+    part: str
+    kind: str
+    faces: Ints
+    rest: Floats
+
+
+class Print(NamedTuple):
+    """A pattern in a scene. cloth, code: of the coats of cloth and print · first: the wearer's first triangle in its surface."""
+
+    cloth: int
+    code: int
+    first: int
+    pattern: Pattern
 
 
 @dataclass(frozen=True)
@@ -38,13 +60,13 @@ class WornReflectance:
     """What somebody's surfaces reflect.
 
     reflectance, material: of each of `person_look.WORN` · faces: (F,) which of them each triangle is, as `worn_faces` says ·
-    patterns: of `PersonLook`.
+    patterns: on garments.
     """
 
     reflectance: Mapping[str, float]
     material: Mapping[str, str]
     faces: Bytes
-    patterns: Mapping[str, str]
+    patterns: tuple[Pattern, ...]
 
     def labels(self, outfit: Outfit, wavelength_nm: Wavelength) -> tuple[float, ...]:
         """What is on each place of the axis `worn` of datasets reflects, NaN where nothing is."""
@@ -54,20 +76,6 @@ class WornReflectance:
             own.get(place, _AT[wears[place][1]](wavelength_nm)) if wears.get(place, ("", ""))[1] else np.nan
             for place in AXES["worn"]
         )
-
-
-class Print(NamedTuple):
-    """A pattern on a garment.
-
-    cloth, code: of the coats of cloth and print · pattern: as in `PersonLook.patterns` · first: the wearer's first triangle in
-    the scene's surface · rest: (F, 3, 3) corners of the wearer's triangles at rest, m.
-    """
-
-    cloth: int
-    code: int
-    pattern: str
-    first: int
-    rest: NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -98,20 +106,33 @@ class SceneReflectance:
         buffers = replace(seen.buffers, coats=self.coats)
         material, face = buffers.material.reshape(-1), seen.face_id.reshape(-1)
         for each in self.prints:
-            at = np.flatnonzero((material == each.cloth) & (face >= each.first) & (face < each.first + len(each.rest)))
-            if not at.size:
-                continue
-            triangle = face[at].astype(np.int64)
-            points = apply(world_from_camera, camera.points(seen.depth_clean).reshape(-1, 3)[at])
-            share, _ = corner_shares(self.surface, triangle, points)
-            share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-30)
-            coloured = at[printed(each.pattern, np.einsum("nk,nkj->nj", share, each.rest[triangle - each.first]))]
+            of = each.pattern
+            at = np.flatnonzero((material == each.cloth) & (face >= each.first) & (face < each.first + len(of.faces)))
+            cell = of.faces[face[at] - each.first]
+            across = np.flatnonzero(cell == _ACROSS)
+            cell[across] = self._cells(each, at[across], seen, camera, world_from_camera)
+            coloured = at[cell % 2 == 1]
             material[coloured] = each.code
             whole = np.zeros(material.size, np.bool_)
             whole[coloured] = True
             parts = buffers.parts_material
             parts[whole[buffers.mixed][:, None] & (parts == each.cloth)] = each.code
         return buffers
+
+    def _cells(self, of: Print, at: Ints, seen: RenderedFrame, camera: Camera, world_from_camera: Matrix) -> Ints:
+        """Stripes or checks in which pixels (N,), flat, see a garment: by its place at rest, from their places on triangles."""
+        depth, triangle = seen.depth_clean.reshape(-1)[at], seen.face_id.reshape(-1)[at]
+        ray = np.concatenate((camera.rays.reshape(-1, 2)[at], np.ones((len(at), 1))), axis=1)
+        a, b, c = (self.surface.vertices[self.surface.faces[triangle, k]] for k in range(3))
+        along, beside, point = b - a, c - a, apply(world_from_camera, ray * depth[:, None]) - a
+        uu, uv, vv, pu, pv = (
+            np.einsum("ij,ij->i", x, y, dtype=np.float64)
+            for x, y in ((along, along), (along, beside), (beside, beside), (point, along), (point, beside))
+        )
+        area = np.maximum(uu * vv - uv**2, 1e-30)
+        u, v = (pu * vv - pv * uv) / area, (pv * uu - pu * uv) / area
+        share = np.clip(np.stack((1.0 - u - v, u, v), axis=1), 0.0, 1.0)
+        return pattern_cells(of.pattern.kind, np.einsum("nk,nkj->nj", share, of.pattern.rest[triangle - of.first]))
 
 
 class Reflectances:
@@ -141,11 +162,9 @@ class Reflectances:
             body = material[start : start + len(found.faces)]
             np.copyto(body, found.faces + np.uint8(first), where=found.faces != NOT_WORN)
             coats += [Coat(first + k, MATERIAL_ID[found.material[name]], found.reflectance[name]) for k, name in enumerate(WORN)]
-            for part, pattern in found.patterns.items():
-                if pattern:
-                    cloth, code = (first + WORN.index(name) for name in (part, f"{part}_print"))
-                    dressed = who.person.dressed
-                    prints.append(Print(cloth, code, pattern, start, dressed.rest[dressed.faces]))
+            for pattern in found.patterns:
+                cloth, code = (first + WORN.index(name) for name in (pattern.part, f"{pattern.part}_print"))
+                prints.append(Print(cloth, code, start, pattern))
             start += sum(len(s.faces) for s in who.surfaces)
         code = FIRST_COAT + len(scene.people) * len(WORN) + len(_OF_CARS)
         for thing, *_ in scene.things:
@@ -169,7 +188,9 @@ class Reflectances:
                 dyes = "print" if name.endswith("_print") else material[name]
                 seen = float(rp.matmul(_LUMINANCE, look.colours[name]))
                 result[name] = self._dyed(dyes, float(kinds[k]), float(ranks[k]), seen)
-        return WornReflectance(result, material, worn_faces(person, look), look.patterns)
+        rest = person.dressed.rest[person.dressed.faces].astype(np.float64)
+        patterns = tuple(Pattern(part, kind, _whole_cells(kind, rest), rest) for part, kind in look.patterns.items() if kind)
+        return WornReflectance(result, material, worn_faces(person, look), patterns)
 
     def _draw_car(self, place: str) -> tuple[Coat, ...]:
         colours: Mapping[str, Floats] = draw_trim(rng=own_rng(self._seed, place)).colours()
@@ -210,3 +231,9 @@ class Reflectances:
         """Of hair that has partly turned grey; what it is dyed with does not absorb there."""
         natural, grey = (low + rank * (high - low) for low, high in (HAIR[look.hair], HAIR["grey"]))
         return natural + look.grey * (grey - natural)
+
+
+def _whole_cells(kind: str, rest: Floats) -> Ints:
+    """(F,) the stripe or check that holds all corners (F, 3, 3) of a triangle, else `_ACROSS`."""
+    cells = pattern_cells(kind, rest.reshape(-1, 3)).reshape(-1, 3)
+    return np.where((cells == cells[:, :1]).all(axis=1), cells[:, 0], _ACROSS)

@@ -112,19 +112,13 @@ class Rasteriser:
         return frame._replace(buffers=self._room.first(number))
 
 
-def corner_shares(surface: Surface, face: Ints, point: Floats) -> tuple[Floats, Floats]:
-    """(N, 3) areas that points (N, 3) on triangles (N,) have opposite their corners, and (N, 3) normals; not of unit length."""
+def normals_at(surface: Surface, face: Ints, point: Floats, direction: Floats) -> Floats:
+    """(N, 3) unit normals, interpolated and towards the eye, where rays (N, 3) meet triangles (N,) at points (N, 3)."""
     a, b, c = (surface.vertices[surface.faces[face, k]].astype(np.float64) for k in range(3))
     flat = np.cross(b - a, c - a)
     share = [np.einsum("ij,ij->i", np.cross(q - p, point - p), flat) for p, q in ((b, c), (c, a), (a, b))]
-    return np.clip(np.stack(share, axis=1), 0.0, None), flat
-
-
-def normals_at(surface: Surface, face: Ints, point: Floats, direction: Floats) -> Floats:
-    """(N, 3) unit normals, interpolated and towards the eye, where rays (N, 3) meet triangles (N,) at points (N, 3)."""
-    share, flat = corner_shares(surface, face, point)
     corner = surface.normals[surface.faces[face]]
-    mixed = sum(share[:, k, None] * corner[:, k] for k in range(3))
+    mixed = sum(np.clip(s, 0.0, None)[:, None] * corner[:, k] for k, s in enumerate(share))
     mixed = np.where(np.linalg.norm(mixed, axis=1, keepdims=True) > 0, mixed, flat)
     mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-30)
     mixed *= -np.sign(np.einsum("ij,ij->i", mixed, direction) + 1e-30)[:, None]
