@@ -1,9 +1,9 @@
-"""Error of range by multipath, traced and by the sensor model: `multipath_reference.py scenes|trace|compare FOLDER`.
+"""Error of range by multipath, traced and by the model: `multipath_reference.py scenes|trace|compare FOLDER`, `frames CONFIG`.
 
 `scenes` writes what there is to FOLDER: corners of walls, and views of a car. `trace` lets mitransient follow light through it,
 all bounces, and needs no cabinpose: run it where mitsuba 3.9 and mitransient 1.3 are, with DRJIT_LIBLLVM_PATH naming LLVM 19.
 `compare` prints the table of docs/sensor-model.md, draws its picture into FOLDER, and with `--keep FILE` stores what tests
-compare.
+compare. `frames` prints how large it is in frames of a configuration, without noise, beside what scattered light moves.
 
 Light is a projector in the camera's place, so that it falls on what the camera sees and nothing else; surfaces are Lambertian.
 """
@@ -207,10 +207,44 @@ def compare(folder: Path, keep: Path | None) -> None:
         np.savez_compressed(keep, **kept)
 
 
+PIXELS = {
+    "head, neck": ("neck", "head_left", "head_right"),
+    "torso, shoulders": ("torso_left", "torso_right", "shoulder_left", "shoulder_right", "hip_left", "hip_right", "hip_center"),
+    "arms": tuple(f"{part}_{side}" for part in ("upper_arm", "elbow", "forearm", "wrist") for side in ("left", "right")),
+    "hands": ("hand_left", "hand_right"),
+    "legs, feet": tuple(f"{part}_{side}" for part in ("thigh", "knee", "shin", "ankle", "foot") for side in ("left", "right")),
+    "seats": ("seat",), "trim": ("trim",), "floor": ("floor",),
+}  # fmt: skip
+
+
+def in_frames(path: Path, frames: int) -> None:
+    """Prints medians and 95 % of the errors of range (mm), unsigned, by what pixels show."""
+    from cabinpose.scene import LABEL_ID
+    from cabinpose.scene.sensor import NO_EFFECTS
+    from cabinpose.synth import FrameMaker, SynthConfig
+
+    config, none = SynthConfig.load(path), {"reflectance": True, "incidence": True, "vignetting": True, "glass": True}
+    changes: tuple[dict[str, Any], ...] = ({}, {"multipath": True}, {"lens_scatter": 0.02})
+    noises = [NO_EFFECTS.model_copy(update={**none, "wrapping": True, "circular_field": True, **change}) for change in changes]
+    makers = [FrameMaker(config.model_copy(update={"noise": noise}), 1) for noise in noises]
+    factor = config.camera.sensor_model.camera.range_over_depth
+    errors: dict[str, list[Any]] = {name: [] for name in PIXELS}
+    for number in range(frames):
+        plain, *changed = (maker.make(number)[0] for maker in makers)
+        for name, labels in PIXELS.items():
+            where = np.isin(plain["labels"], [LABEL_ID[label] for label in labels]) & np.isfinite(plain["depth"])
+            errors[name].append(1e3 * np.abs([((frame["depth"] - plain["depth"]) * factor)[where] for frame in changed]))
+    print("| | multipath: median | p95 | scattered light: median | p95 |\n|---|---:|---:|---:|---:|")
+    for name, parts in errors.items():
+        quantiles = np.nanpercentile(np.concatenate(parts, axis=1), (50, 95), axis=1).T.ravel()
+        print(f"| {name} | {' | '.join(f'{q:.1f}' if q < 9.5 else f'{q:.0f}' for q in quantiles)} |")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["scenes", "trace", "compare"])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("what", choices=["scenes", "trace", "compare", "frames"])
+    parser.add_argument("folder", type=Path, help="frames: a configuration")
+    parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--paths", type=int, default=1024, help="trace: through a pixel")
     parser.add_argument("--keep", type=Path, help="compare: where to store the reference's errors in the corners (mm)")
     args = parser.parse_args()
@@ -218,5 +252,7 @@ if __name__ == "__main__":
         scenes(args.folder)
     elif args.what == "trace":
         trace(args.folder, args.paths)
+    elif args.what == "frames":
+        in_frames(args.folder, args.frames)
     else:
         compare(args.folder, args.keep)

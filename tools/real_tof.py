@@ -190,7 +190,10 @@ def raw_continuous_wave(data: Path) -> Iterator[Row]:
 
 
 LEVELS = (60, 80, 120, 180, 280, 400)  # amplitudes of the Azure Kinect; above, sigma is below half of its step of 1 mm
-FLOOR, SPREAD = 48.0, 0.37  # of them, below which it gives no depth; and of the logarithm of that
+FLOOR, SPREAD = 43.0, 0.37  # of them, below which it gives no depth; and of the logarithm of that
+# How the cameras take pixels out that too few neighbours are like.
+OF_KINECT = {"remove_edges": True, "edge_threshold_m": 0.15, "edge_neighbours": 8, "edge_holes": False}
+OF_AZURE = {"remove_edges": True, "edge_width_px": 2, "edge_neighbours": 6, "edge_tolerance": 0.025}
 KINECT_LIGHT = 8.0  # exponent of its light's cosine, by the growth of sigma off the axis
 
 
@@ -245,9 +248,9 @@ def fitted_kinect(data: Path) -> tuple[F64, GeometryBuffers, Sensor, PhysicalNoi
     rim = (radius >= 212) & (radius < 260)
     middle = radius < 150
     flat = ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4)
-    noise = PhysicalNoise(low_amplitude_spread=SPREAD)
+    noise = PhysicalNoise(low_amplitude_spread=SPREAD).model_copy(update=OF_KINECT)
     sigma = noise_of(real, middle & flat, 1e-3)
-    sensor = fitted_signal(scene, sensor, noise, middle & flat, sigma)
+    sensor = fitted_signal(scene, sensor, PhysicalNoise(), middle & flat, sigma)
     sensor = fitted_floor(scene, sensor, noise, rim, float(np.isnan(real[rim]).mean()))
     figures = f"{sensor.signal_e:.3g} electrons, at least {sensor.min_amplitude_e:.3g}"
     print(f"kinect v2: sigma {1e3 * sigma:.2f} mm in the middle; {figures}")
@@ -265,8 +268,8 @@ def kinect_v2(data: Path) -> tuple[list[Row], list[F64]]:
     real, scene, sensor, noise = fitted_kinect(data)
     radius = off_axis(sensor.camera)
     flat = ~ndimage.binary_dilation(silhouettes(filled(real)), iterations=4)
-    ours = seen(scene, sensor, noise)
-    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_threshold_m": 0.15}))
+    ours = seen(scene, sensor, noise.model_copy(update={"remove_edges": False}))
+    removed = seen(scene, sensor, noise)
     region = radius < 145
     rows = list(edge_rows("Kinect v2", real, ours, region, by_distance=False))
     rows += edge_rows("Kinect v2, edges out", real, removed, region)
@@ -298,29 +301,44 @@ GENERATED = {
     "head without hair": (("head_left", "head_right"), "skin", (0.0, 1.0), None),
 }
 METRES = ((2.0, 3.0), (3.0, 4.0))
+ALIKE = 1.25  # factor by which light may differ where it counts as the same
+
+
+def light_of(sensor: Sensor, depth: F64) -> F64:
+    """(H, W): light that a surface at this depth (m) and pixel gets and returns, relative to the axis at 1 m."""
+    off, exponent = sensor.camera.range_over_depth, sensor.vignetting_exponent + sensor.illumination_exponent
+    return np.asarray(1 / off**exponent / (depth * off) ** 2)
 
 
 def in_rooms(data: Path, frames: int) -> Iterator[tuple[str, ...]]:
-    """Invalid shares of generated people before that camera, by what they reflect and by distance, edges left out."""
+    """Invalid shares of generated people before that camera, edges left out.
+
+    By what they reflect, by distance, and where as much light is received as by such a surface in the real frame.
+    """
     real, _, sensor, noise = fitted_kinect(data)
     asked = room_preset()
     maker = FrameMaker(asked.model_copy(update={"camera": asked.camera.model_copy(update={"sensor": sensor}), "noise": noise}), 1)
     middle = off_axis(sensor.camera) < 212
-    lost = {(name, bounds): [0, 0] for name in GENERATED for bounds in METRES}
+    alike = {like: inside(boxes, real.shape) for like, (boxes, _) in REGIONS.items()}
+    light = {like: float(np.median(light_of(sensor, filled(real))[where])) for like, where in alike.items()}
+    lost = {name: np.zeros((len(METRES) + 1, 2), int) for name in GENERATED}
     for number in range(frames):
         frame, _ = maker.make(number)
-        flat = middle & (frame["instance"] > 0) & ~ndimage.binary_dilation(silhouettes(frame["depth_clean"]), iterations=3)
-        for (name, bounds), count in lost.items():
-            labels, place, band, _ = GENERATED[name]
-            if band[0] <= frame["reflectance"][0, AXES["worn"].index(place)] < band[1]:
-                where = flat & np.isin(frame["labels"], [LABEL_ID[label] for label in labels])
-                where &= (frame["depth_clean"] >= bounds[0]) & (frame["depth_clean"] < bounds[1])
-                count[0] += int(np.isnan(frame["depth"][where]).sum())
-                count[1] += int(where.sum())
+        depth = frame["depth_clean"]
+        flat = middle & (frame["instance"] > 0) & ~ndimage.binary_dilation(silhouettes(depth), iterations=3)
+        for name, (labels, place, band, like) in GENERATED.items():
+            if not band[0] <= frame["reflectance"][0, AXES["worn"].index(place)] < band[1]:
+                continue
+            where = flat & np.isin(frame["labels"], [LABEL_ID[label] for label in labels])
+            of = [where & (depth >= near) & (depth < far) for near, far in METRES]
+            if like is not None:
+                factor = light_of(sensor, np.where(where, depth, 1.0)) / light[like]
+                of.append(where & (factor < ALIKE) & (factor > 1 / ALIKE))
+            for count, some in zip(lost[name], of, strict=False):
+                count += int(np.isnan(frame["depth"][some]).sum()), int(some.sum())
     for name, (_, _, _, like) in GENERATED.items():
-        theirs = f"{np.isnan(real[inside(REGIONS[like][0], real.shape)]).mean():.3g}" if like else ""
-        shares = [lost[name, bounds] for bounds in METRES]
-        yield name, theirs, *(f"{bad / of:.3g}" if of > 200 else "" for bad, of in shares)
+        theirs = f"{np.isnan(real[alike[like]]).mean():.3g}" if like else ""
+        yield name, theirs, *(f"{bad / of:.3g}" if of > 200 else "" for bad, of in lost[name])
 
 
 def azure_kinect(data: Path) -> tuple[list[Row], list[F64]]:
@@ -352,7 +370,7 @@ def azure_kinect(data: Path) -> tuple[list[Row], list[F64]]:
     sensor = sensor.model_copy(update={**figures, "min_amplitude_e": FLOOR / unit, "full_well_e": 60000 / unit})
     print(f"azure: {unit:.3g} units an electron, read noise {sensor.read_noise_e:.3g} electrons")
     ours = seen(scene, sensor, noise)
-    removed = seen(scene, sensor, noise.model_copy(update={"remove_edges": True, "edge_width_px": 2}))
+    removed = seen(scene, sensor, noise.model_copy(update=OF_AZURE))
     rows = list(edge_rows("Azure Kinect", real, ours, field & ~saturated, by_distance=False))
     rows += edge_rows("Azure Kinect, edges out", real, removed, field & ~saturated)
     for low, some in levels:
@@ -380,7 +398,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--pictures", type=Path)
-    parser.add_argument("--frames", type=int, default=200, help="of generated people in rooms")
+    parser.add_argument("--frames", type=int, default=600, help="of generated people in rooms")
     told = parser.parse_args()
     rows = list(raw_continuous_wave(told.data))
     for camera in (kinect_v2, azure_kinect):
@@ -394,7 +412,7 @@ def main() -> None:
     print("\n| statistic | real | simulated | ratio |\n|---|---|---|---|")
     for what, theirs, ours in rows:
         print(f"| {what} | {theirs:.3g} | {ours:.3g} | {ours / theirs if theirs else np.nan:.2f} |")
-    print("\n| surface | real | generated, 2 to 3 m | generated, 3 to 4 m |\n|---|---|---|---|")
+    print("\n| surface | real | generated, 2 to 3 m | 3 to 4 m | in the frame's light |\n|---|---|---|---|---|")
     for cells in in_rooms(told.data, told.frames):
         print(f"| {' | '.join(cells)} |")
 

@@ -51,8 +51,8 @@ def test_edges_are_noisier_and_spikes_are_taken_out() -> None:
     assert not gone[:, quiet].any()
 
 
-def test_edges_are_taken_out_by_the_literal_rule() -> None:
-    """Equation 5.6: both pixels beside the step, over all rows, and no other; of a pixel of width 2 two on each side."""
+def test_edges_are_taken_out_by_their_neighbours() -> None:
+    """Beside a straight step five of eight neighbours are on the same side: both go; of neighbours 2 px away two on each side."""
     sensor = small_sensor()
     edge = step_edge(sensor, 0.8, 1.4, 80)  # between pixels 39 and 40
     before = simulate(edge, sensor, PLAIN, rng=generator(2, 1))
@@ -64,8 +64,9 @@ def test_edges_are_taken_out_by_the_literal_rule() -> None:
         np.testing.assert_array_equal(np.isnan(after.depth_m), gone)
         np.testing.assert_array_equal(after.confidence == 0, gone)
         np.testing.assert_array_equal(after.depth_m[~gone], before.depth_m[~gone])
-    low = PLAIN.model_copy(update={"remove_edges": True, "edge_threshold_m": 0.7})
-    assert np.isfinite(simulate(edge, sensor, low, rng=generator(2, 1)).depth_m).all()
+    for kept in ({"edge_threshold_m": 0.7, "edge_tolerance": 1.0}, {"edge_neighbours": 5}):
+        noise = PLAIN.model_copy(update={"remove_edges": True, **kept})
+        assert np.isfinite(simulate(edge, sensor, noise, rng=generator(2, 1)).depth_m).all()
 
 
 def test_window_crop_and_glass() -> None:

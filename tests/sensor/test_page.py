@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN
+from cabinpose.scene import DYES, GLAZING, HAIR, MATERIAL_ID, MATERIALS, SKIN
 from cabinpose.scene.sensor import SENSORS, GeometryBuffers, PhysicalNoise, simulate
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -74,6 +74,17 @@ def test_other_cameras_noise_is_that_of_the_table() -> None:
                     name,
                     heading,
                 )
+
+
+def test_glazing_is_that_of_the_table() -> None:
+    """What panes let through, row by row."""
+    text = (DOCS / "sensor-model.md").read_text("utf-8")
+    lines = text[text.index("| place | glass") :].split("\n\n")[0].splitlines()[2:]
+    assert [[cell.strip() for cell in line.strip("|").split("|")] for line in lines] == [
+        [place, g.name, f"{g.share:.2f}", *("{:.2f} to {:.2f}".format(*at) for at in (g.at_850, g.at_940))]
+        for place, kinds in GLAZING.items()
+        for g in kinds
+    ]
 
 
 def test_reflectances_are_those_of_the_tables() -> None:

@@ -13,12 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from sensor_scenes import WHITE, generator, samples, small_sensor, sphere_of_range, step_edge, use_case, wall
 
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.materials import MATERIAL_ID, MATERIALS
 from cabinpose.scene.sensor import NO_EFFECTS, OWN_SENSORS, SENSORS, GeometryBuffers, PhysicalNoise, Sensor, simulate
+from cabinpose.scene.sensor.noise import edge_pixels
 
 C = 299_792_458.0
 DISTANCES = (0.5, 0.8, 1.2, 1.7, 2.4)
@@ -195,6 +197,40 @@ def test_blur_spreads_light_and_keeps_its_sum() -> None:
     # In phase the spot's light adds to what its neighbours have; at a quarter and less of the spot's they stay small beside it.
     np.testing.assert_allclose(soft[29:32, 39:42] / spot, kernel, atol=0.02)
     np.testing.assert_allclose(soft[:25], sharp[:25], atol=1)
+
+
+def test_edges_go_by_the_depth_that_is_delivered() -> None:
+    """Bright near light reaches by the lens' blur a pixel that the geometry at the centres has well behind the edge."""
+    sensor = small_sensor()
+    split = step_edge(sensor, 0.4, 1.4, 81)  # in the middle of pixel 40, whose centre is on the far wall
+    mixed = {"flying_pixels": True, "blur": 0.1, "reflectance": True}
+    kept, cleaned = (
+        simulate(split, sensor, only(**mixed, remove_edges=out), rng=generator(1, 1)).depth_m for out in (False, True)
+    )
+    off_walls = np.minimum(np.abs(kept - 0.4), np.abs(kept - 1.4)) > 0.05
+    np.testing.assert_array_equal(np.flatnonzero(off_walls.any(axis=0)), [41])
+    gone = np.isnan(cleaned)
+    np.testing.assert_array_equal(np.flatnonzero(gone.any(axis=0)), [39, 40, 41, 42])
+    assert gone[:, 39:43].all()
+    np.testing.assert_array_equal(cleaned[~gone], kept[~gone])
+
+
+@pytest.mark.parametrize("holes", [True, False])
+def test_neighbours_are_counted_as_by_definition(holes: bool) -> None:
+    """Noise, holes and a slope: the count of a loop over all windows of 3 x 3, without borders."""
+    rng = generator(7, 7)
+    depth = (1.0 + 0.01 * np.arange(40) + rng.normal(0, 0.02, (30, 40))).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.05] = np.nan
+    rule = PhysicalNoise(edge_tolerance=0.03, edge_threshold_m=0.035, edge_neighbours=6, edge_holes=holes)
+
+    def few(window: np.ndarray) -> bool:
+        near = np.abs(window - window[4]) <= min(0.035, 0.03 * window[4])
+        ignored = 0 if holes else 9 if np.isnan(window[4]) else np.isnan(window).sum()
+        return near.sum() - near[4] + ignored < 6
+
+    expected = ndimage.generic_filter(depth.astype(np.float64), few, 3)[1:-1, 1:-1] > 0
+    assert 0.2 < expected.mean() < 0.8
+    np.testing.assert_array_equal(edge_pixels(depth, rule)[1:-1, 1:-1], expected)
 
 
 def test_without_flying_pixels_no_depth_lies_between() -> None:
@@ -393,7 +429,9 @@ SWITCHES: dict[str, object] = {
 }  # fmt: skip
 # Fields that only say how a switch of them acts, with that switch.
 DETAILS: dict[str, tuple[object, dict[str, object]]] = {
-    "edge_threshold_m": (0.9, {"remove_edges": True}), "edge_width_px": (3, {"remove_edges": True}),
+    "edge_threshold_m": (0.01, {"remove_edges": True}), "edge_width_px": (3, {"remove_edges": True}),
+    "edge_tolerance": (0.01, {"remove_edges": True}), "edge_neighbours": (4, {"remove_edges": True}),
+    "edge_holes": (False, {"remove_edges": True}),
     "sun_width_m": (0.1, {"sun": 200.0}), "fixed_pattern_seed": (1, {"fixed_pattern_mm": 5.0}),
     "multipath_unseen": (0.5, {"multipath": True}), "lens_scatter_px": (60.0, {"lens_scatter": 0.05}),
 }  # fmt: skip

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cabinpose.core import OCCUPANT_SLOTS
-from cabinpose.scene import DYES, HAIR, LABEL_ID, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
+from cabinpose.core import OCCUPANT_SLOTS, Camera, apply, invert, look_at
+from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype, hair_shares
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, sensor_by_name, simulate
+from cabinpose.scene.things import make_thing
 from cabinpose.store import AXES
 from cabinpose.synth import FrameMaker, People, RandomPeople, SynthConfig
 from cabinpose.synth.person_look import WORN, look_of, worn_faces
-from cabinpose.synth.reflectances import Reflectances
+from cabinpose.synth.reflectances import Pattern, Print, Reflectances, SceneReflectance, _whole_cells
+from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.subjects import Subjects
 
 LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
@@ -154,22 +156,74 @@ def test_amplitudes_are_those_of_the_labels() -> None:
     assert checked >= 3
 
 
-def test_the_dye_of_a_car_is_on_the_car_alone() -> None:
-    """A toddler seat of hard plastic in a car whose plastic is drawn: the one reflects as its material, the other as its coat."""
-    plastic = MATERIAL_ID["hard_plastic"]
+def test_the_dyes_of_car_and_things_are_on_these_alone() -> None:
+    """A toddler seat of plastic and cloth in a car of both: each surface reflects as the dye that was drawn for it, in a band."""
     scene_of = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "child_seats": {"rear_left": "toddler"}}
     maker = FrameMaker(SynthConfig.parse({"scene": scene_of}), 0)
     _, scene = maker.make(0)
     surface = scene.surface()
     found = maker._reflectances.of(scene, surface)
     reflects = material_table(True, True, 0.0, 0.0, 850, found.coats)[found.surface.material, 0]
-    (drawn_plastic,) = {coat.reflectance for coat in found.coats if coat.material == plastic}
     of_car = np.arange(len(surface.faces)) < len(scene.backdrop.faces)
-    of_seat = (surface.material == plastic) & (surface.label == LABEL_ID["child_seat"])
-    assert of_seat.any()
-    np.testing.assert_allclose(reflects[of_seat], MATERIALS[plastic].reflectance, rtol=1e-6)
-    np.testing.assert_allclose(reflects[of_car & (surface.material == plastic)], drawn_plastic, rtol=1e-6)
-    assert abs(drawn_plastic - MATERIALS[plastic].reflectance) > 0.01
+    ((thing, *_),) = scene.things
+    start = len(surface.faces) - len(thing.surface.faces) - sum(len(each.faces) for each in scene.fastenings)
+    of_thing = np.zeros(len(surface.faces), bool)
+    of_thing[start : start + len(thing.surface.faces)] = True
+    dyed = [name for name in DYES if (thing.surface.material == MATERIAL_ID.get(name, 0)).any()]
+    assert "hard_plastic" in dyed
+    for name in dyed:
+        here = of_thing & (surface.material == MATERIAL_ID[name])
+        values = {float(value) for value in reflects[here]}
+        assert len(values) == 1
+        assert any(d.low - 1e-6 <= min(values) <= max(d.high, 0.9 * d.to_the_eye) for d in DYES[name])
+    plastic = surface.material == MATERIAL_ID["hard_plastic"]
+    assert len(set(reflects[of_car & plastic])) == 1
+    assert set(reflects[of_car & plastic]) != set(reflects[of_thing & plastic])
+    undyed = ~np.isin(surface.material, [MATERIAL_ID.get(name, 0) for name in DYES])
+    table = {material.id: material.reflectance for material in MATERIALS}
+    np.testing.assert_allclose(reflects[of_thing & undyed], [table[m] for m in surface.material[of_thing & undyed]], rtol=1e-6)
+
+
+def test_covers_of_things_are_black_to_some_cameras_and_bright_to_others() -> None:
+    """Over seeds, child seats' cloth takes the shares of its dyes."""
+    thing = make_thing("toddler", 0)
+    cloth = MATERIAL_ID["seat_fabric"]
+    found = [
+        {coat.material: coat.reflectance for coat in Reflectances(seed, 850)._draw_thing(thing)}[cloth] for seed in range(200)
+    ]
+    assert 0.1 < np.mean(np.array(found) < 0.09) < 0.4
+    assert np.mean(np.array(found) > 0.34) > 0.5
+
+
+def test_prints_have_borders_as_fine_as_pixels() -> None:
+    """A striped cloth, half as wide and shifted as it is worn: each pixel goes by its place at rest, whole triangles too."""
+    across, up = np.meshgrid(np.linspace(0.4, -0.4, 21), np.linspace(-0.3, 0.3, 31))
+    corners = np.stack((np.ones(across.size), across.ravel(), up.ravel()), axis=1).astype(np.float32)
+    first = (21 * np.arange(30)[:, None] + np.arange(20)).reshape(-1, 1)
+    faces = np.concatenate((first + [[0, 1, 22]], first + [[0, 22, 21]])).astype(np.int32)
+    cloth, code = 66, 71
+    none, material = np.zeros(len(faces), np.uint8), np.where(np.arange(len(faces)) % 2, cloth, code).astype(np.uint8)
+    surface = Surface(corners, np.tile(np.array((-1, 0, 0), np.float32), (len(corners), 1)), faces, none, material, none)
+    rest = corners * (1.0, 0.5, 0.5) + (0.0, 0.0, 0.013)
+    pattern = Pattern("top", "stripes", _whole_cells("stripes", rest[faces]), rest[faces])
+    assert 0.1 < (pattern.faces > -100).mean() < 0.9, "some are in one stripe"
+    found = SceneReflectance(surface, (), {}, (Print(cloth, code, 0, pattern),))
+    assert (found.plain.material == cloth).all()
+    camera = Camera.from_fov(120, 100, 1.0)
+    world_from_camera = look_at((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    seen = Rasteriser(camera, 2).render(found.plain, invert(world_from_camera))
+    buffers = found.printed(seen, camera, world_from_camera)
+    points = apply(world_from_camera, camera.points(seen.depth_clean).reshape(-1, 3)).reshape(100, 120, 3)
+    height = points[..., 2] * 0.5 + 0.013
+    sure = (seen.face_id >= 0) & (np.abs(height / 0.04 - np.rint(height / 0.04)) > 0.01)
+    expected = np.where(np.floor(height / 0.04) % 2 == 1, code, cloth)
+    assert sure.sum() > 3000
+    np.testing.assert_array_equal(buffers.material[sure], expected[sure])
+    pixels = buffers.material.reshape(-1)[buffers.mixed]
+    assert np.isin(code, buffers.parts_material)
+    assert ((buffers.parts_material == pixels[:, None]) | ~np.isin(buffers.parts_material, (cloth, code))).all(
+        where=(pixels > 0)[:, None]
+    )
 
 
 def test_coats_stand_in_place_of_materials_and_wavelengths_choose_columns() -> None:
@@ -210,7 +264,7 @@ def test_smooth_surfaces_shine_where_they_face_the_camera(name: str) -> None:
 def test_what_is_in_rooms_is_of_its_material() -> None:
     found = Reflectances(0, 850)
     surface = SimpleNamespace(faces=np.zeros((5, 3), np.int32), material=np.full(5, MATERIAL_ID["painted_wall"], np.uint8))
-    scene: Any = SimpleNamespace(cabin=None, people=(), backdrop=surface, place="room")
+    scene: Any = SimpleNamespace(cabin=None, things=(), people=(), backdrop=surface, place="room")
     whole = Surface(*np.zeros((2, 1, 3), np.float32), surface.faces, *np.repeat(surface.material[None], 3, axis=0))
     assert found.of(scene, whole).coats == ()
     np.testing.assert_array_equal(found.of(scene, whole).surface.material, surface.material)

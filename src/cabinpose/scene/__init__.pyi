@@ -9,6 +9,7 @@ from .labels import coarse_labels as coarse_labels
 from .labels import ticam_class as ticam_class
 from .materials import DYES as DYES
 from .materials import FIRST_COAT as FIRST_COAT
+from .materials import GLAZING as GLAZING
 from .materials import HAIR as HAIR
 from .materials import MATERIAL_ID as MATERIAL_ID
 from .materials import MATERIALS as MATERIALS
@@ -17,6 +18,7 @@ from .materials import SKIN as SKIN
 from .materials import SKIN_LIMITS as SKIN_LIMITS
 from .materials import Coat as Coat
 from .materials import Dye as Dye
+from .materials import Glass as Glass
 from .materials import Wavelength as Wavelength
 from .room import ROOM_VIEWS as ROOM_VIEWS
 from .room import Room as Room

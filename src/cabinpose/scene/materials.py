@@ -141,6 +141,34 @@ DYES: Mapping[str, tuple[Dye, ...]] = MappingProxyType(
     }
 )  # fmt: skip
 
+
+class Glass(NamedTuple):
+    """Glazing of cars: least and most of the light that passes where it meets the pane squarely, at 850 and at 940 nm.
+
+    name · share: of the panes at a place (assumed) · at_850, at_940 (assumed: no spectra were at hand).
+    """
+
+    name: str
+    share: float
+    at_850: tuple[float, float]
+    at_940: tuple[float, float]
+
+
+# By place in a car; all assumed.
+GLAZING: Mapping[str, tuple[Glass, ...]] = MappingProxyType(
+    {
+        "windscreen": (
+            Glass("green laminated", 0.75, (0.40, 0.55), (0.35, 0.50)),
+            Glass("coated laminated", 0.25, (0.05, 0.30), (0.03, 0.20)),
+        ),
+        "front side": (Glass("green", 0.80, (0.35, 0.50), (0.30, 0.45)), Glass("clear", 0.20, (0.80, 0.84), (0.77, 0.82))),
+        "rear": (
+            Glass("green", 0.50, (0.35, 0.50), (0.30, 0.45)), Glass("privacy", 0.40, (0.10, 0.35), (0.10, 0.35)),
+            Glass("clear", 0.10, (0.80, 0.84), (0.77, 0.82)),
+        ),
+    }
+)  # fmt: skip
+
 # By the colour that grows: least and most diffuse reflectance, at both wavelengths.
 HAIR: Mapping[str, tuple[float, float]] = MappingProxyType(
     {

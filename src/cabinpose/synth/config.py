@@ -41,6 +41,7 @@ from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS, FREE_POSES, WITHOUT_SEAT
 from cabinpose.synth.profiles import IncrementalProfile, Profile
 from cabinpose.synth.style.settings import Style
+from cabinpose.synth.sunlight import Sunlight, check_sunlight
 from cabinpose.synth.things import (
     CLOTH,
     EMPTY_CHILD_SEATS,
@@ -323,6 +324,7 @@ class SynthConfig(Model):
     style: Style | None = Field(
         None, exclude_if=lambda style: style is None, description="Depth with the look of a real camera's beside the depth."
     )
+    sunlight: Sunlight | None = Field(None, exclude_if=operator.not_, description="Sun and sky through the windows of cars.")
     output: Output = Output()
     limits: Limits = Limits()
 
@@ -334,6 +336,8 @@ class SynthConfig(Model):
                 f"noise 'physical' describes Time-of-Flight, sensor '{sensor.name}' is none",
                 hint="choose noise kind structured_light or empirical",
             )
+        if self.sunlight is not None:
+            check_sunlight(self.scene.kind, self.noise.kind)
         sequence = self.scene.sequence
         if sequence is None and sensor.temporal_median > 1:
             raise ConfigError(

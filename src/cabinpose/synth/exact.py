@@ -35,7 +35,10 @@ def exact_config(config: SynthConfig, seed: int, index: int) -> SynthConfig:
     SceneError
         Where the frame has none.
     """
-    return exact_scene(config, SceneSampler(config, seed).sample(index, rng=frame_rng(seed, index)))
+    found = exact_scene(config, SceneSampler(config, seed).sample(index, rng=frame_rng(seed, index)))
+    if config.sunlight is None:
+        return found
+    return found.model_copy(update={"sunlight": config.sunlight.fixed(seed, index, config.scene.sequence)})
 
 
 def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:

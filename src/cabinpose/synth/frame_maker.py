@@ -20,6 +20,7 @@ from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import frame_rng, noise_rng
+from cabinpose.synth.sunlight import SunView
 from cabinpose.synth.variables import TABLE, Frame, FrameFacts
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class FrameMaker:
         moving = self._sequence is not None and self._sequence.exposure_motion
         physical = config.noise if isinstance(config.noise, PhysicalNoise) else None
         self._sample_times = sample_times(self._sensor, physical) if moving and physical else np.zeros(0)
+        self._sun_view = None if config.sunlight is None else SunView(seed, self._sensor.wavelength_nm)
         self._delivered: dict[int, np.ndarray] = {}  # depths of the frames before, where they are filtered over time
         self._pictures: PictureMaker | None = None
         if self.config.images is not None:
@@ -96,12 +98,13 @@ class FrameMaker:
         with self.stage("sample_and_validate"):
             scene = self.sampler.sample(index, rng=rng)
             exposures = self.sampler.exposed(index, scene, self._sample_times) if self._sample_times.size else []
-        return self.see(scene, rng=noise_rng(self._seed, index), exposures=exposures), scene
+        return self.see(scene, rng=noise_rng(self._seed, index), exposures=exposures, index=index), scene
 
-    def see(self, scene: Scene, *, rng: np.random.Generator, exposures: Sequence[Scene] = ()) -> Frame:
+    def see(self, scene: Scene, *, rng: np.random.Generator, exposures: Sequence[Scene] = (), index: int = 0) -> Frame:
         """A scene as the camera delivers it: every variable of the dataset standard.
 
-        exposures: what there is to see at each of the sensor's samples, where people move in between.
+        exposures: what there is to see at each of the sensor's samples, where people move in between · index: the frame whose sun
+        there is.
         """
         with self.stage("render"):
             views = {id(moment): self._view(moment) for moment in {id(m): m for m in exposures if m is not scene}.values()}
@@ -114,9 +117,14 @@ class FrameMaker:
             for person in scene.people:
                 joints_3d[self._slots.index(person.slot)] = apply(camera_from_world, person.posed.joints)
             rendered = self._rasteriser.render(
-                found.surface, camera_from_world, closed=scene.closed, joints=joints_3d, instances=self._instances
+                found.plain, camera_from_world, closed=scene.closed, joints=joints_3d, instances=self._instances
             )
-            buffers = replace(rendered.buffers, coats=found.coats)
+            buffers = found.printed(rendered, self._sensor.camera, scene.world_from_camera)
+        sun = None if self.config.sunlight is None else self.config.sunlight.draw(self._seed, index, self._sequence)
+        if sun is not None and self._sun_view is not None:
+            with self.stage("sunlight"):
+                light = self._sun_view.light(scene, surface, sun, self._sensor.camera, rendered)
+                buffers = replace(buffers, sunlight=light)
         with self.stage("sensor"):
             taken = [views.get(id(moment), buffers) for moment in exposures]
             sensed = simulate(buffers, self._sensor, self.config.noise, rng=rng, exposures=taken)
@@ -124,7 +132,7 @@ class FrameMaker:
         if self._pictures is not None:
             with self.stage("pictures"):
                 table = material_table(True, False, 0.0, 0.0, self._sensor.wavelength_nm, found.coats)
-                pictures = self._pictures.take(scene, surface, near_infrared(found.surface, table), rng=rng)
+                pictures = self._pictures.take(scene, surface, near_infrared(found.surface, table), rng=rng, sun=sun)
         styled: Mapping[str, Any] = {}
         if self._styler is not None:
             with self.stage("style"):
@@ -135,5 +143,5 @@ class FrameMaker:
     def _view(self, scene: Scene) -> GeometryBuffers:
         """What the camera sees of a scene."""
         found = self._reflectances.of(scene, scene.surface())
-        rendered = self._rasteriser.render(found.surface, invert(scene.world_from_camera), closed=scene.closed)
-        return replace(rendered.buffers, coats=found.coats).copy()
+        rendered = self._rasteriser.render(found.plain, invert(scene.world_from_camera), closed=scene.closed)
+        return found.printed(rendered, self._sensor.camera, scene.world_from_camera).copy()

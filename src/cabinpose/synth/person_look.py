@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Bools, Bytes, Floats
+from cabinpose.core import Bytes, Floats, Ints
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIAL_ID as MATERIAL
@@ -52,6 +52,7 @@ _TOP_PATTERNS = (("", 0.70), ("stripes", 0.88), ("checks", 1.0))
 _BOTTOM_PATTERNS = (("", 0.92), ("checks", 1.0))
 _PRINTED = ("t_shirt", "long_sleeve", "jumper", "trousers", "shorts")
 _STRIPE_M, _CHECK_M = 0.04, 0.05
+_ODD = 1001  # more columns of checks than any garment has, and odd
 _CLOTH = tuple(MATERIAL[name] for name in ("cotton", "denim", "wool", "synthetic_fabric"))
 _PLACE = np.full(256, NOT_WORN, np.uint8)  # of a material, where nothing else tells
 _PLACE[MATERIAL["skin"]], _PLACE[MATERIAL["hair"]] = WORN.index("skin"), WORN.index("hair")
@@ -126,12 +127,13 @@ def worn_faces(person: Person, look: PersonLook) -> Bytes:
         if pattern:
             of = np.flatnonzero(place == WORN.index(part))
             middle = dressed.rest[dressed.faces[of]].mean(axis=1)
-            place[of[_printed(pattern, middle)]] = WORN.index(f"{part}_print")
+            place[of[pattern_cells(pattern, middle) % 2 == 1]] = WORN.index(f"{part}_print")
     return place
 
 
-def _printed(pattern: str, at: Floats) -> Bools:
-    """(N,) which triangles of a garment a pattern colours, by their middles at rest (N, 3) m."""
+def pattern_cells(pattern: str, at: Floats) -> Ints:
+    """(N,) the stripe or check that places on a garment are in, by where they are at rest (N, 3) m; odd ones are coloured."""
     if pattern == "stripes":
-        return np.asarray(np.floor(at[:, 2] / _STRIPE_M) % 2 == 1)
-    return np.asarray((np.floor(at[:, 2] / _CHECK_M) + np.floor(at[:, 1] / _CHECK_M)) % 2 == 1)
+        return np.floor(at[:, 2] / _STRIPE_M).astype(np.int64)
+    column, row = np.floor(at[:, 1:] / _CHECK_M).astype(np.int64).T
+    return np.asarray(row + _ODD * column)

@@ -60,6 +60,11 @@ def face_rng(seed: int, frame_index: int, slot: str) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=key, counter=(0, 0, zlib.crc32(slot.encode()), 4)))
 
 
+def sun_rng(seed: int, frame_index: int) -> np.random.Generator:
+    """The generator of where the sun stands in a frame, or in the sequence that begins with it."""
+    return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 5)))
+
+
 def weighted(weights: Mapping[Name, float], *, rng: np.random.Generator) -> Name:
     """A name drawn by weight."""
     names = list(weights)

@@ -89,7 +89,7 @@ class Preview:
         assert self._sampler is not None
         with self._one_thread():
             maker = FrameMaker(posed.config, self._noise[0], self._sampler, pictures=False)
-            frame = maker.see(posed.scene, rng=noise_rng(*self._noise))
+            frame = maker.see(posed.scene, rng=noise_rng(*self._noise), index=self._noise[1])
             doubts = _place_doubts(posed.config, posed.scene)
         depth = frame["depth_clean"]
         middle = float(depth[depth.shape[0] // 2, depth.shape[1] // 2])

@@ -40,7 +40,9 @@ class GeometryBuffers:
     a crease or a steep surface. The other pixels see one smooth surface, whose centre stands for all of it ·
     parts_depth_m, parts_cos_incidence, parts_material: (M, s * s), the same at the centres of the parts of these pixels, row by
     row: pixels of `camera.scaled(s)` ·
-    coats: what surfaces of the scene's own codes reflect, in place of materials.
+    coats: what surfaces of the scene's own codes reflect, in place of materials ·
+    sunlight: (H, W) float32, light of sun and sky on each pixel's surface (at 850 nm; `SUNLIGHT` has what is left at 940),
+    relative to the camera's own light at 1 m; None where there is none.
     """
 
     supersample: int
@@ -52,11 +54,14 @@ class GeometryBuffers:
     parts_cos_incidence: Floats32
     parts_material: Bytes
     coats: tuple[Coat, ...] = ()
+    sunlight: Floats32 | None = None
 
     def __post_init__(self) -> None:
         shape, parts = self.depth_m.shape, (len(self.mixed), self.supersample**2)
         if self.cos_incidence.shape != shape or self.material.shape != shape:
             raise ConfigError("depth, incidence and material of a view differ in shape", hint="fill all three at one resolution")
+        if self.sunlight is not None and self.sunlight.shape != shape:
+            raise ConfigError("the sunlight of a view is not of its shape", hint="give one number for each pixel")
         if any(a.shape != parts for a in (self.parts_depth_m, self.parts_cos_incidence, self.parts_material)):
             raise ConfigError(
                 f"the parts of {parts[0]} pixels are not {parts[0]} x {parts[1]} samples",

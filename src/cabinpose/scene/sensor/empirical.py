@@ -2,8 +2,8 @@
 
 Source: Gonçalves (thesis, 2020), equations 5.5 to 5.8 and 5.12: axial noise of a Pico Monstar 105 in use case 3 on a white
 wall, sigma = 1 + 5 z + 1 z^2 (mm, z in m). The thesis adds Gaussian noise at abrupt depth edges and sets edge pixels to 0
-(5.6), without naming thresholds; the defaults here are ours. Taken literally that is `remove_edges`; by default only those
-go that stand before or behind all of their neighbours (`remove_spikes`).
+(5.6), without naming thresholds; the defaults here are ours. By default only those go that stand before or behind all of their
+neighbours (`remove_spikes`); `remove_edges` takes out what cameras' own filters do.
 """
 
 from __future__ import annotations

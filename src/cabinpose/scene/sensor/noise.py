@@ -1,6 +1,8 @@
 """What noise models have in common: effects that installed packages add to any of them, edges of depth, and the camera's filters.
 
-Source of the rule for edges: Gonçalves (thesis, 2020), equation 5.6.
+Sources of the rule for edges: Basler's manual of the blaze (feature *Outlier Removal*: how many of the 8 neighbours have to
+lie within a share of a pixel's own distance); libfreenect2's edge test of the Kinect v2 looks at the same neighbours, of which it
+leaves out invalid ones. Both see decoded depth alone.
 """
 
 from __future__ import annotations
@@ -92,27 +94,46 @@ class CameraNoise(BaseModel, ABC):
 class EdgeRule(CameraNoise):
     """What is an abrupt edge of depth, and whether its pixels are taken out: of noise models that know edges."""
 
-    edge_threshold_m: float = Field(default=0.10, gt=0, description="Depth step across two pixels that makes an abrupt edge (m).")
-    edge_width_px: int = Field(default=1, ge=1, le=8, description="Reach of the central difference that finds edges (px).")
+    edge_threshold_m: float = Field(
+        default=0.10, gt=0, description="Depth step that makes an abrupt edge (m); of `empirical` noise across two pixels."
+    )
+    edge_width_px: int = Field(
+        default=1, ge=1, le=8, description="How far away the neighbours are by which edges are found (px)."
+    )
+    edge_tolerance: float = Field(
+        default=0.05, gt=0, le=1, description="Of `remove_edges`: the same as a share of the depth; the smaller of both counts."
+    )
+    edge_neighbours: int = Field(
+        default=7, ge=1, le=8, description="Of `remove_edges`: so many of the 8 neighbours have to be no farther off than that."
+    )
+    edge_holes: bool = Field(
+        default=True, description="Of `remove_edges`: invalid neighbours are farther off too; off: they do not count."
+    )
     remove_edges: bool = Field(
-        default=False, description="Pixels at abrupt edges of the geometry are invalid, as the thesis sets them to 0."
+        default=False, description="Pixels with too few neighbours at their delivered depth are invalid, as cameras' filters do."
     )
 
-    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:
+    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:  # noqa: ARG002
         """Takes edges out, where they are to be, and smooths the depth as the sensor does."""
         if self.remove_edges:
-            invalidate(frame, edge_pixels(buffers.depth_m, self))
+            invalidate(frame, edge_pixels(frame.depth_m, self))
         if sensor.spatial_filter != "none":
             frame.depth_m[:] = smoothed(frame.depth_m, sensor)
 
 
 def edge_pixels(depth: Floats32, rule: EdgeRule) -> Bools:
-    """(H, W): where the central difference of depth (m, 0 = nothing) exceeds the threshold; the image's border repeats."""
+    """(H, W): where fewer neighbours than asked for lie near the depth (m, NaN = none); beyond the image's border it repeats."""
     reach = rule.edge_width_px
+    height, width = depth.shape
     padded = np.pad(depth, reach, mode="edge")
-    across = np.abs(padded[reach:-reach, 2 * reach :] - padded[reach:-reach, : -2 * reach])
-    along = np.abs(padded[2 * reach :, reach:-reach] - padded[: -2 * reach, reach:-reach])
-    return np.asarray(np.maximum(across, along) > rule.edge_threshold_m)
+    near = np.minimum(np.float32(rule.edge_threshold_m), np.float32(rule.edge_tolerance) * depth)
+    far = np.zeros(depth.shape, np.uint8)
+    for y in (0, reach, 2 * reach):
+        for x in (0, reach, 2 * reach):
+            if (y, x) != (reach, reach):
+                off = np.abs(padded[y : y + height, x : x + width] - depth)
+                far += ~(off <= near) if rule.edge_holes else off > near
+    return np.asarray(far > 8 - rule.edge_neighbours)
 
 
 def invalidate(frame: SensorFrame, where: Bools) -> None:

@@ -158,7 +158,7 @@ class PhysicalNoise(EdgeRule):
             lit, falloff, unseen = _lit(buffers, sensor, self), self.vignetting, self.multipath_unseen
             light = indirect_light(lit, sensor, camera.table, camera.frequencies, falloff=falloff, unseen=unseen)
             camera = camera._replace(indirect=light)
-        if self.sun > 0:
+        if self.sun > 0 or buffers.sunlight is not None:
             camera = _in_the_sun(camera, buffers, sensor, self, rng=rng)
         first = len(samples) if sensor.second_integration_s is None else len(samples) // 2
         frame = _exposed(samples[:first], camera, sensor, self, rng=rng)
@@ -304,12 +304,19 @@ def _lit(buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise) -> Geom
 def _in_the_sun(
     camera: _ContinuousWave, buffers: GeometryBuffers, sensor: Sensor, noise: PhysicalNoise, *, rng: Generator
 ) -> _ContinuousWave:
-    """A camera whose gain of ambient light is that of sunlight where a beam of it falls, as its centre is lit."""
+    """A camera whose gain of ambient light is that of sunlight where it falls, as each pixel's centre is lit.
+
+    It falls through the windows, as the view says, and in a beam, where noise has one.
+    """
     ambient = max(noise.ambient, _LEAST_AMBIENT)
     table = _table(sensor, noise.model_copy(update={"ambient": ambient}), buffers.coats)
     inside = (buffers.material > 0) & ~(PANES[buffers.material] & noise.glass)
-    lit = sunlit(buffers.depth_m, inside, sensor.camera, noise.sun_width_m, rng=rng)
-    share = np.where(inside, (noise.ambient + noise.sun * lit) / ambient, np.float32(1.0))
+    light = np.full(buffers.shape, np.float32(noise.ambient))
+    if buffers.sunlight is not None:
+        light += buffers.sunlight
+    if noise.sun > 0:
+        light += noise.sun * sunlit(buffers.depth_m, inside, sensor.camera, noise.sun_width_m, rng=rng)
+    share = np.where(inside, light / ambient, np.float32(1.0))
     return camera._replace(table=table, ambient_gain=(camera.ambient_gain * share).astype(np.float32))
 
 

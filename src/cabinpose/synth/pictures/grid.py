@@ -14,7 +14,7 @@ import numpy as np
 from cabinpose.core import Bools, Camera, Floats, Floats32, Ints, Matrix, invert
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import MATERIALS, Surface
-from cabinpose.synth.render import Rasteriser
+from cabinpose.synth.render import Rasteriser, normals_at
 
 FINER = 2  # samples of the grid along a pixel's side, where the lens magnifies most
 _SEEN_THROUGH = np.isin(np.arange(256), [m.id for m in MATERIALS if m.transmissive])
@@ -109,14 +109,6 @@ def hits(rasteriser: Rasteriser, surface: Surface, shown: Bools, world_from_came
     direction = rp.matmul(np.concatenate((rays, np.ones((len(rays), 1))), axis=1), rotation.T)
     depth = frame.depth_clean.reshape(-1)
     point = eye + direction[hit] * depth[hit, None]
-    a, b, c = (surface.vertices[surface.faces[face[hit], k]].astype(np.float64) for k in range(3))
-    flat = np.cross(b - a, c - a)
-    share = [np.einsum("ij,ij->i", np.cross(q - p, point - p), flat) for p, q in ((b, c), (c, a), (a, b))]
-    corner = surface.normals[surface.faces[face[hit]]]
-    mixed = sum(np.clip(s, 0.0, None)[:, None] * corner[:, k] for k, s in enumerate(share))
-    mixed = np.where(np.linalg.norm(mixed, axis=1, keepdims=True) > 0, mixed, flat)
-    mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-30)
-    mixed *= -np.sign(np.einsum("ij,ij->i", mixed, direction[hit]) + 1e-30)[:, None]
     normal = np.zeros((len(found), 3))
-    normal[hit] = mixed
+    normal[hit] = normals_at(surface, face[hit], point, direction[hit])
     return Hits(face, depth, normal, direction)

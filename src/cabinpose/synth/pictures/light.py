@@ -15,6 +15,7 @@ import numpy as np
 from cabinpose.core import Bools, Floats, Floats32
 from cabinpose.core import reproducible as rp
 from cabinpose.synth.person_look import linear
+from cabinpose.synth.sunlight import Sun
 
 LightKind = Literal["day", "night", "garage"]
 _DOME = 512, 1024  # rows, columns: a third of a degree, about a pixel of a Monstar
@@ -31,7 +32,7 @@ class Light:
     kind, words: for the dataset · dome: (H, W, 3) float32 radiance of the directions `dome_directions` ·
     sun: towards it (3,) and its irradiance (3,), None where there is none · lamps: places (m) and intensities of points ·
     infrared: share of dome and sun that is there at 850 nm, as radiance of a white ground over that by the camera's own light
-    from 1 m; lamps are LEDs, which have none · own: radiance of a white surface that faces the
+    from 1 m, 1 where no sun is known; lamps are LEDs, which have none · own: radiance of a white surface that faces the
     camera's own light at 1 m.
     """
 
@@ -61,14 +62,20 @@ def dome_directions(rows: int, columns: int) -> Floats:
     )  # fmt: skip
 
 
-def draw_light(kind: LightKind, glow: Floats | None, *, rng: np.random.Generator) -> Light:
-    """Light of a kind. glow: a point (3,) m before the instruments, which shine at night; None where there are none."""
-    return _DRAW[kind](glow, rng)
+def draw_light(kind: LightKind, glow: Floats | None, *, rng: np.random.Generator, sun: Sun | None = None) -> Light:
+    """Light of a kind.
+
+    glow: a point (3,) m before the instruments, which shine at night; None where there are none · sun: of the day, where it is
+    known.
+    """
+    return _day(sun, rng) if kind == "day" else _DRAW[kind](glow, rng)
 
 
-def _day(_: Floats | None, rng: np.random.Generator) -> Light:
+def _day(known: Sun | None, rng: np.random.Generator) -> Light:
     elevation, azimuth = rng.uniform(12.0, 60.0), rng.uniform(-180.0, 180.0)
-    clear = rng.random() < 0.65
+    clear = bool(rng.random() < 0.65)
+    if known is not None:
+        elevation, azimuth, clear = known.elevation_deg, known.left_deg, known.clear
     e, a = np.radians((elevation, azimuth))
     towards = np.array((rp.cos(e) * rp.cos(a), rp.cos(e) * rp.sin(a), rp.sin(e)))
     warm = np.array((1.0, 0.96 - 0.25 * rp.exp(-elevation / 12), 0.9 - 0.5 * rp.exp(-elevation / 12)))
@@ -85,7 +92,8 @@ def _day(_: Floats | None, rng: np.random.Generator) -> Light:
     dome = _street(directions, sky, np.array((2.2, 2.4, 2.7)), sun, _unlit, rng)
     ground = float((2.5 + power * rp.sin(e)) / np.pi)  # radiance of white ground
     words = f"sun {elevation:.0f} degrees high, {azimuth:.0f} to the left of ahead" if clear else "overcast"
-    return Light("day", words, dome.astype(np.float32), sun if clear else None, infrared=1.0 / ground)
+    infrared = 1.0 if known is None else known.direct * float(rp.sin(e)) + known.sky
+    return Light("day", words, dome.astype(np.float32), sun if clear else None, infrared=infrared / ground)
 
 
 def _night(glow: Floats | None, rng: np.random.Generator) -> Light:
@@ -147,7 +155,7 @@ def _garage(glow: Floats | None, rng: np.random.Generator) -> Light:
     return Light("garage", "strip lights", dome.astype(np.float32), lamps=lamps)
 
 
-_DRAW: dict[LightKind, Callable[[Floats | None, np.random.Generator], Light]] = {"day": _day, "night": _night, "garage": _garage}
+_DRAW: dict[LightKind, Callable[[Floats | None, np.random.Generator], Light]] = {"night": _night, "garage": _garage}
 
 
 def _unlit(at: Floats) -> Floats:

@@ -23,6 +23,7 @@ from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import own_rng
+from cabinpose.synth.sunlight import Sun
 
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
 _KINDS: tuple[LightKind, ...] = ("day", "night", "garage")
@@ -45,7 +46,9 @@ class PictureMaker:
         self._rasteriser = Rasteriser(self._grid.pinhole, 1)
         self._colours: dict[str, Floats32] = {}
 
-    def take(self, scene: Scene, surface: Surface, reflectance: Floats32, *, rng: np.random.Generator) -> dict[str, Any]:
+    def take(
+        self, scene: Scene, surface: Surface, reflectance: Floats32, *, rng: np.random.Generator, sun: Sun | None = None
+    ) -> dict[str, Any]:
         """The variables `rgb` (H, W, 3) and `nir` (H, W) that are asked for, and what made them.
 
         Parameters
@@ -58,9 +61,15 @@ class PictureMaker:
             (F, 3) of it, diffuse, in near infrared.
         rng
             Draws the light and the paths.
+        sun
+            That which the depth camera has, by day.
         """
         drawn = _KINDS[int(rng.choice(len(_KINDS), p=_COMMON))]
-        light = draw_light(drawn if self._images.light == "any" else self._images.light, _glow(scene), rng=rng)
+        if sun is not None:
+            drawn = "day" if sun.elevation_deg > 0 else "night"
+        elif self._images.light != "any":
+            drawn = self._images.light
+        light = draw_light(drawn, _glow(scene), rng=rng, sun=sun)
         if scene.cabin is None:
             light = replace(light, lamps=_ROOM_LAMPS)
         seeds = rng.integers(0, 2**32, 2).tolist()

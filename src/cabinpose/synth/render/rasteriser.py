@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cabinpose._native import raster as native
-from cabinpose.core import JOINTS, Bools, Bytes, Camera, ConfigError, Floats, Floats32, Ints32, Matrix
+from cabinpose.core import JOINTS, Bools, Bytes, Camera, ConfigError, Floats, Floats32, Ints, Ints32, Matrix
 from cabinpose.scene import MATERIAL_ID as MATERIAL
 from cabinpose.scene import Surface
 from cabinpose.scene.sensor import GeometryBuffers, in_parts
@@ -110,6 +110,19 @@ class Rasteriser:
         camera, rules = np.ascontiguousarray(camera_from_vehicle, dtype=np.float64), visibility_rules()
         number = native.render(surface, camera, closed, self._eye, _Joints(positions, numbers, *rules), frame)
         return frame._replace(buffers=self._room.first(number))
+
+
+def normals_at(surface: Surface, face: Ints, point: Floats, direction: Floats) -> Floats:
+    """(N, 3) unit normals, interpolated and towards the eye, where rays (N, 3) meet triangles (N,) at points (N, 3)."""
+    a, b, c = (surface.vertices[surface.faces[face, k]].astype(np.float64) for k in range(3))
+    flat = np.cross(b - a, c - a)
+    share = [np.einsum("ij,ij->i", np.cross(q - p, point - p), flat) for p, q in ((b, c), (c, a), (a, b))]
+    corner = surface.normals[surface.faces[face]]
+    mixed = sum(np.clip(s, 0.0, None)[:, None] * corner[:, k] for k, s in enumerate(share))
+    mixed = np.where(np.linalg.norm(mixed, axis=1, keepdims=True) > 0, mixed, flat)
+    mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-30)
+    mixed *= -np.sign(np.einsum("ij,ij->i", mixed, direction) + 1e-30)[:, None]
+    return np.asarray(mixed)
 
 
 class _Lens(NamedTuple):
