@@ -7,13 +7,13 @@ the way.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cabinpose.core import CABINPOSE, Floats, Matrix, axis_rotation, invert, nearest_rigid, transform
+from cabinpose.core import CABINPOSE, Floats, Matrix, invert, nearest_rigid, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting
@@ -22,8 +22,8 @@ from cabinpose.synth.motion.activities import RECEIVE, Step, inboard_neighbour, 
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
 from cabinpose.synth.motion.track import CLOSING_S, Held, Pose, Segment, Track, duration, way_through
 from cabinpose.synth.posture.actions import inboard_side
-from cabinpose.synth.posture.goals import between, given, holding, staying
-from cabinpose.synth.posture.grasps import Hold
+from cabinpose.synth.posture.goals import between, given, holding, staying, turning_freely
+from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
 from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
@@ -32,7 +32,7 @@ from cabinpose.synth.streams import weighted
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import PPoly
 
 CHECKS_PER_FRAME = 3
 _INTERIOR = (0, 3, 7)  # poses between the ends of a way that are tried, one number after the other
@@ -41,11 +41,13 @@ _FIRST_S = (0.1, 0.8)  # when the first activity begins
 _PAUSE_S = 0.7  # until the next try
 _HELD_M = 0.03  # a palm that is nearer than this to where it was on the rim has not let go
 _AT_RIM_M = 0.04  # of a palm's origin from the rim's axis
-_OFF_M, _OPEN = 0.05, 0.05  # of a hand that has just let go: along the palm's normal, and its grip
+_OFF_M, _BACK_M = 0.04, 0.12  # of a hand that has just let go: along the palm's normal, and along the wheel's axis
+_OPEN, _SPREAD = 0.05, 0.5  # its grip, and its fingers
 _GRIP = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
 _FLESH_M = 0.6  # of two people's skins from their joints, at the most
 _BREATHS = 8  # poses of a still person that are tried
 _ROUNDABOUT, _ROUND_HAND = 1.8, 2.7  # of a way's duration against the straight one's; to another one's hand, or from there
+_GRIPS_S = 0.5  # for a hand that lets go or takes hold on the way
 _SETTLE = 0.5  # of what a hold may be shorter or longer
 _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
@@ -71,6 +73,7 @@ class Somebody(NamedTuple):
 class _Goal(NamedTuple):
     pose: Pose
     holds: tuple[bool, bool]  # the wheel
+    closed: tuple[bool, bool]  # fingers around the wheel or something else of the car
     via: Pose | None = None  # from which a hand comes to a thing in another hand, and to which it leaves it
 
 
@@ -172,7 +175,7 @@ class Planner:
         """Wait for a moment at first, then do one more activity; False where not even waiting is free, or nothing else was."""
         if self._now is None:
             start = self._track.pose_of(self._track.last)
-            self._now = _Goal(start, self._holds_at(start))
+            self._now = _Goal(start, (holds := self._holds_at(start)), holds)
             self.time_s = float(self._rng.uniform(*_FIRST_S)) * min(1.0, self._lasts_s)
             return self._refused(0.0, min(self.time_s, self._lasts_s)) is None
         choices = self._who.activities(self._track.hold)
@@ -233,14 +236,16 @@ class Planner:
             self._attempts.judge(reason)
         return None
 
-    def _way(self, now: _Goal, goal: _Goal, interior: int, time_s: float, tempo: float) -> tuple[CubicSpline, float] | None:
+    def _way(self, now: _Goal, goal: _Goal, interior: int, time_s: float, tempo: float) -> tuple[PPoly, float] | None:
         """A way through so many poses between two, and how long it takes, s; None for one that is too far round."""
         ends = self._track.last, self._track.state_of(goal.pose)
         way = way_through(self._between(self._track, now, goal, interior, time_s))
         lasts_s = duration(way, tempo)
         passes = self._track.hold is not None and self._track.hold.place.passes_on
         limit = _ROUND_HAND if passes or now.via is not None or goal.via is not None else _ROUNDABOUT
-        return (way, lasts_s) if lasts_s <= limit * duration(way_through(np.stack(ends)), tempo) + 0.3 else None
+        grips = (now.closed != (False, False)) + (goal.closed != (False, False))
+        longest_s = limit * duration(way_through(np.stack(ends)), tempo) + 0.3 + _GRIPS_S * grips / tempo
+        return (way, lasts_s) if lasts_s <= longest_s else None
 
     def _hand_over(self, now: _Goal, time_s: float) -> tuple[_Goal, float] | None:
         """Holds out what is held; the neighbour's hand comes, takes it and draws it away; then the empty hand goes back."""
@@ -283,7 +288,7 @@ class Planner:
         other._track.holds.append(Held(mine, ready_s + CLOSING_S, ready_s + CLOSING_S))
         takes = other._goal(Step(RECEIVE), now[1], ready_s, other._habit, Reach(palm[:3, 3], free, palm))
         if takes is not None:
-            takes = takes._replace(via=other._aside(takes, free, ready_s, -_ASIDE_M * palm[:3, 2]))
+            takes = takes._replace(via=other._aside(takes, {free: -_ASIDE_M * palm[:3, 2]}, ready_s))
         back = takes and other._brought(takes, now[1], interior, ready_s, RECEIVE)
         self._track.segments.pop()
         other._track.holds.pop()
@@ -301,7 +306,7 @@ class Planner:
         if refused is not None:
             return None
         # It is drawn out of the open hand, which goes back afterwards as it came.
-        takes = takes._replace(via=other._aside(takes, free, until_s, _ASIDE_M * out[:3, 2]))
+        takes = takes._replace(via=other._aside(takes, {free: _ASIDE_M * out[:3, 2]}, until_s))
         end = other._step(RECEIVE, other._rest(held), takes, until_s, other._habit)
         if end is None:
             return None
@@ -313,7 +318,7 @@ class Planner:
             return None
         return (now[0], leave_s + way[1]), end
 
-    def _brought(self, goal: _Goal, now: _Goal, interior: int, time_s: float, label: str) -> tuple[CubicSpline, float] | None:
+    def _brought(self, goal: _Goal, now: _Goal, interior: int, time_s: float, label: str) -> tuple[PPoly, float] | None:
         found = self._way(now, goal, max(interior, _led(now, goal) * _INTERIOR[1]), time_s, _HASTE * self._tempo)
         if found is None:
             self._attempts.judge(Rejection("way", self._who.slot, label))
@@ -359,26 +364,36 @@ class Planner:
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
             drawn = self._who.draw(step.action, now.pose.wheel_angle, hold, number, time_s, reach)
             angle = now.pose.wheel_angle
-        if step.steers:
-            drawn = replace(drawn, sitter=holding(drawn.sitter, self._carried(now, drawn.sitter, angle)))
         if reach is not None and reach.side is not None:
             touches = tuple(touch for touch in drawn.touches if touch.side == reach.side)
             stays = staying(drawn.sitter, now.pose.q, now.pose.root, reach.side, now.holds)
-            drawn = replace(drawn, sitter=stays, touches=touches)
-        placed = self._around.empty(angle).placed
-        (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
+            return self._posed(replace(drawn, sitter=stays, touches=touches), angle, time_s)
+        kept = self._carried(now, drawn.sitter, angle, near=step.steers)
+        if all(palm is None for palm in kept):
+            return self._posed(drawn, angle, time_s)
+        # Hands stay where they hold the wheel, unless that leaves no way.
+        found = self._posed(replace(drawn, sitter=holding(drawn.sitter, kept)), angle, time_s)
+        return found or (None if step.steers else self._posed(drawn, angle, time_s))
+
+    def _posed(self, drawn: Drawn, angle: float, time_s: float) -> _Goal | None:
+        """The pose that somebody's goals lead to, if it is possible in itself."""
+        (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), self._around.empty(angle).placed)
         if found.refused:
             self._attempts.judge(Rejection("reach", self._who.slot, found.refused, found.held_up_by))
             return None
-        pose = Pose(found.q, found.vehicle_from_root, angle)
+        pose = Pose(found.q, found.vehicle_from_root, angle, found.fingers)
         rejection = self._around.verdict(self._who.slot, self._who.person, pose, time_s).rejection
         self._attempts.judge(rejection)
         if rejection is not None:
             return None
-        return _Goal(pose, drawn.sitter.holds)
+        holds, grasping = drawn.sitter.holds, {touch.side for touch in drawn.touches if touch.grasps}
+        return _Goal(pose, holds, (holds[0] or 0 in grasping, holds[1] or 1 in grasping))
 
-    def _carried(self, now: _Goal, chosen: Sitter, angle: float) -> tuple[Matrix | None, Matrix | None]:
-        """Where a rim that turns to `angle` (rad) takes palms that were to be near there; None for a new grip."""
+    def _carried(self, now: _Goal, chosen: Sitter, angle: float, *, near: bool) -> tuple[Matrix | None, Matrix | None]:
+        """Where a rim that turns to `angle` (rad) takes palms that hold it, and are to; None for a new grip.
+
+        near: only those that were to be near there.
+        """
         before, after = (self._around.cabin.vehicle_from_wheel(each) for each in (now.pose.wheel_angle, angle))
         if before is None or after is None:
             return None, None
@@ -387,7 +402,7 @@ class Planner:
         for side in (0, 1):
             if now.holds[side] and chosen.holds[side]:
                 palm = rp.matmul(after, rp.matmul(invert(before), palms["lr"[side]]))
-                if rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < _HELD_M:
+                if not near or rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < _HELD_M:
                     result[side] = palm
         return result[0], result[1]
 
@@ -407,66 +422,95 @@ class Planner:
         return None
 
     def _between(self, track: Track, now: _Goal, goal: _Goal, interior: int, time_s: float) -> Floats:
-        """(K, 51) states from one pose to another, with poses in between that the solver finds."""
-        start, end = now.via or now.pose, goal.via or goal.pose
-        ends = track.state_of(start), track.state_of(end)
-        shares = np.linspace(0.0, 1.0, interior + 2)
-        states = [track.state_of(now.pose), ends[0]] if now.via else [ends[0]]
+        """(K, 63) states from one pose to another, with poses in between that the solver finds.
+
+        Hands that let go open and come off what they hold before they go anywhere; those that take hold come to it open.
+        """
+        leaving, after = self._let_go(now, goal, time_s)
+        coming, before = self._let_go(goal, now, time_s)
+        first, last = (after or [now.via or now.pose])[-1], (before or [goal.via or goal.pose])[-1]
+        ends = track.state_of(first), track.state_of(last)
+        kept = [a and b and side not in leaving for side, (a, b) in enumerate(zip(now.holds, goal.holds, strict=True))]
+        states = [track.state_of(pose) for pose in (now.pose, *([now.via] if now.via else []), *after)]
         sitters = self._around.sitters(self._who.slot, time_s) if interior else []
-        for share in shares[1:-1].tolist():
+        for share in np.linspace(0.0, 1.0, interior + 2)[1:-1].tolist():
             straight = track.pose_of((1.0 - share) * ends[0] + share * ends[1])
-            lets_go, arrives = share == shares[1], share == shares[-2]
-            palms = [self._palm(side, now, goal, straight, share, lets_go=lets_go, arrives=arrives) for side in (0, 1)]
-            holds = [a and b for a, b in zip(now.holds, goal.holds, strict=True)]
-            for side, palm in enumerate(palms):
-                if palm is not None and not holds[side]:
-                    straight.q[_GRIP[side]] = min(straight.q[_GRIP[side]], _OPEN)
+            palms = [self._on_rim(side, now, goal, straight, share) if kept[side] else None for side in (0, 1)]
             seat = self._around.cabin.seats[self._who.slot]
-            soles = self._soles(start, end, share)
+            soles = self._soles(first, last, share)
             who = between(
-                self._who.person, seat, straight.q, straight.root, (palms[0], palms[1]), soles, (holds[0], holds[1])
+                self._who.person, seat, straight.q, straight.root, (palms[0], palms[1]), soles, (kept[0], kept[1])
             )  # fmt: skip
             solve([who, *sitters], self._around.empty(straight.wheel_angle).placed)
-            states.append(track.state_of(Pose(who.q, who.root, straight.wheel_angle)))
-        return np.stack([*states, ends[1], *([track.state_of(goal.pose)] if goal.via else [])])
+            states.append(track.state_of(straight._replace(q=who.q, root=who.root)))
+        states += [track.state_of(pose) for pose in (*before[::-1], *([goal.via] if goal.via else []), goal.pose)]
+        return np.stack(states)
 
-    def _palm(
-        self, side: int, now: _Goal, goal: _Goal, between: Pose, share: float, *, lets_go: bool, arrives: bool
-    ) -> Matrix | None:
-        """Where a palm is on its way: with the rim that it holds, off what it holds as it lets go or arrives; else None."""
-        wheel, (before, after) = self._around.cabin.steering_wheel, (now.holds[side], goal.holds[side])
-        if not (before or after):
-            return None
-        ends = now.via or now.pose, goal.via or goal.pose
-        palm = [self._who.person.pose(pose.q, pose.root).palms["lr"[side]] for pose in ends]
-        if before and after and wheel is not None:
-            angles = now.pose.wheel_angle, goal.pose.wheel_angle, between.wheel_angle
-            hub = [rp.matmul(wheel.vehicle_from_wheel, transform(axis_rotation("z", angle))) for angle in angles]
-            first, last = rp.matmul(invert(hub[0]), palm[0]), rp.matmul(invert(hub[1]), palm[1])
-            if rp.norm(first[:3, 3] - last[:3, 3]) < _HELD_M:
-                return rp.matmul(hub[2], _mixed(first, last, share))
-        if (before and lets_go) or (after and arrives):
-            off = palm[0].copy() if before and lets_go else palm[1].copy()
-            off[:3, 3] -= _OFF_M * off[:3, 2]
-            return np.asarray(off)
-        return None
+    def _let_go(self, at: _Goal, other: _Goal, time_s: float) -> tuple[set[int], list[Pose]]:
+        """Which hands of a pose leave what they hold, on the way to or from another one, and the poses in which they do so."""
+        sides = {side for side in (0, 1) if at.closed[side] and not self._stays(side, at, other)}
+        if not sides or at.via is not None:
+            return sides, []
+        opened = at.pose._replace(q=at.pose.q.copy(), fingers=_opened(at.pose, sides))
+        opened.q[[_GRIP[side] for side in sides]] = _OPEN
+        body, wheel = self._who.person.pose(opened.q, opened.root), self._around.cabin.steering_wheel
+        by = {side: -_OFF_M * body.palms["lr"[side]][:3, 2] for side in sides}
+        if wheel is not None:  # out of the rim, towards the driver
+            by |= {side: by[side] + _BACK_M * wheel.vehicle_from_wheel[:3, 2] for side in sides if at.holds[side]}
+        return sides, [opened, self._aside(at, by, time_s, opened)]
 
-    def _aside(self, goal: _Goal, side: int, time_s: float, by: Floats) -> Pose:
-        """The pose near one in which a hand is at a thing, and now `by` (3,) m from there, vehicle frame."""
-        pose, who = goal.pose, self._who
+    def _stays(self, side: int, one: _Goal, two: _Goal) -> bool:
+        """Whether a hand holds the wheel at the same place of its rim in two poses."""
+        wheel = self._around.cabin.steering_wheel
+        if wheel is None or not (one.holds[side] and two.holds[side]):
+            return False
+        local = [self._in_wheel(side, goal.pose) for goal in (one, two)]
+        return bool(rp.norm(local[0][:3, 3] - local[1][:3, 3]) < _HELD_M)
+
+    def _in_wheel(self, side: int, pose: Pose) -> Matrix:
+        """`wheel_from_palm` (4, 4) of a pose, of the wheel as it is turned there."""
+        vehicle_from_wheel = self._around.cabin.vehicle_from_wheel(pose.wheel_angle)
+        assert vehicle_from_wheel is not None  # of who holds one
+        return rp.matmul(invert(vehicle_from_wheel), self._who.person.pose(pose.q, pose.root).palms["lr"[side]])
+
+    def _on_rim(self, side: int, now: _Goal, goal: _Goal, between: Pose, share: float) -> Matrix:
+        """Where a palm is on its way that goes along with the rim."""
+        vehicle_from_wheel = self._around.cabin.vehicle_from_wheel(between.wheel_angle)
+        assert vehicle_from_wheel is not None
+        mixed = _mixed(self._in_wheel(side, now.pose), self._in_wheel(side, goal.pose), share)
+        return rp.matmul(vehicle_from_wheel, mixed)
+
+    def _aside(self, goal: _Goal, by: Mapping[int, Floats], time_s: float, opened: Pose | None = None) -> Pose:
+        """The pose near one in which hands, by side, are `by` (3,) m from where they were.
+
+        opened: the same pose with hands that have let go and turn as they like.
+        """
+        pose, who = opened or goal.pose, self._who
         body = who.person.pose(pose.q, pose.root)
-        palms = [body.palms[s] if goal.holds[hand] else None for hand, s in enumerate("lr")]
-        palms[side] = rp.matmul(transform(None, by), body.palms["lr"[side]])
+        palms = [body.palms[s] if goal.holds[hand] or opened is not None else None for hand, s in enumerate("lr")]
+        for side, way in by.items():
+            palms[side] = rp.matmul(transform(None, way), body.palms["lr"[side]])
         near = between(
             who.person, self._around.cabin.seats[who.slot], pose.q, pose.root, (palms[0], palms[1]),
-            (body.soles["l"], body.soles["r"]), goal.holds,
+            (body.soles["l"], body.soles["r"]), (goal.holds[0] and 0 not in by, goal.holds[1] and 1 not in by),
         )  # fmt: skip
+        if opened is not None:
+            near = turning_freely(near, by)
         solve([near, *self._around.sitters(who.slot, time_s)], self._around.empty(pose.wheel_angle).placed)
         return pose._replace(q=near.q, root=near.root)
 
     def _soles(self, start: Pose, end: Pose, share: float) -> tuple[Matrix, Matrix]:
         one, two = (self._who.person.pose(pose.q, pose.root) for pose in (start, end))
         return _mixed(one.soles["l"], two.soles["l"], share), _mixed(one.soles["r"], two.soles["r"], share)
+
+
+def _opened(pose: Pose, sides: Iterable[int]) -> Floats:
+    """(2, 6) the fingers of a pose, those of some hands wide open."""
+    fingers = np.full((2, 6), np.nan)
+    if pose.fingers is not None:
+        fingers[:, : pose.fingers.shape[1]] = pose.fingers
+    fingers[list(sides)] = *OPEN_HAND, _SPREAD
+    return fingers
 
 
 def _led(start: _Goal, end: _Goal) -> bool:

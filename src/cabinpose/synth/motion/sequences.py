@@ -115,7 +115,7 @@ def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attemp
     planners, followers = {}, []
     for slot, (pose, _) in posed.poses.items():
         who = Somebody(slot, people[slot], partial(goals, slot), partial(choices.of, slot))
-        start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0)
+        start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0, pose.fingers)
         if slot in scene.recorded:
             around.people[slot] = people[slot], Track(start, RECORDED, Idle.drawn(rng=plans[slot]), 0.0)
             followers.append(who)
