@@ -16,7 +16,7 @@ import numpy as np
 from cabinpose.core import CABINPOSE, Floats, Matrix, invert, nearest_rigid, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, Person
-from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.cabin import Cabin, SeatSetting, SteeringWheel
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.activities import RECEIVE, Step, inboard_neighbour, resting, steps_of
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
@@ -35,19 +35,21 @@ if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 CHECKS_PER_FRAME = 3
-_INTERIOR = (0, 3, 7)  # poses between the ends of a way that are tried, one number after the other
+_INTERIOR = (0, 1, 3, 7)  # poses between the ends of a way that are tried, one number after the other
+_LED = 3  # of them at least, where a hand stays at the rim
 _TRIES = 6  # activities tried at one moment
 _FIRST_S = (0.1, 0.8)  # when the first activity begins
 _PAUSE_S = 0.7  # until the next try
 _HELD_M = 0.03  # a palm that is nearer than this to where it was on the rim has not let go
 _AT_RIM_M = 0.04  # of a palm's origin from the rim's axis
 _OFF_M, _BACK_M = 0.04, 0.12  # of a hand that has just let go: along the palm's normal, and along the wheel's axis
+_NEAR_RIM_M = 0.16  # of a palm's origin from the rim's axis
 _OPEN, _SPREAD = 0.05, 0.5  # its grip, and its fingers
 _GRIP = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
 _FLESH_M = 0.6  # of two people's skins from their joints, at the most
 _BREATHS = 8  # poses of a still person that are tried
 _ROUNDABOUT, _ROUND_HAND = 1.8, 2.7  # of a way's duration against the straight one's; to another one's hand, or from there
-_GRIPS_S = 0.5  # for a hand that lets go or takes hold on the way
+_STOP_S = 0.45  # for each pose in which hands let go or draw back
 _SETTLE = 0.5  # of what a hold may be shorter or longer
 _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
@@ -219,7 +221,7 @@ class Planner:
             return None
         reason: Rejection | None = None
         for interior in _INTERIOR:
-            if interior == 0 and _led(now, goal):
+            if interior < _LED and _led(now, goal):
                 continue
             found = self._way(now, goal, interior, time_s, tempo)
             if found is None:
@@ -243,8 +245,8 @@ class Planner:
         lasts_s = duration(way, tempo)
         passes = self._track.hold is not None and self._track.hold.place.passes_on
         limit = _ROUND_HAND if passes or now.via is not None or goal.via is not None else _ROUNDABOUT
-        grips = (now.closed != (False, False)) + (goal.closed != (False, False))
-        longest_s = limit * duration(way_through(np.stack(ends)), tempo) + 0.3 + _GRIPS_S * grips / tempo
+        stops = len(way.x) - 2 - interior
+        longest_s = limit * duration(way_through(np.stack(ends)), tempo) + 0.3 + _STOP_S * stops / tempo
         return (way, lasts_s) if lasts_s <= longest_s else None
 
     def _hand_over(self, now: _Goal, time_s: float) -> tuple[_Goal, float] | None:
@@ -319,7 +321,7 @@ class Planner:
         return (now[0], leave_s + way[1]), end
 
     def _brought(self, goal: _Goal, now: _Goal, interior: int, time_s: float, label: str) -> tuple[PPoly, float] | None:
-        found = self._way(now, goal, max(interior, _led(now, goal) * _INTERIOR[1]), time_s, _HASTE * self._tempo)
+        found = self._way(now, goal, max(interior, _led(now, goal) * _LED), time_s, _HASTE * self._tempo)
         if found is None:
             self._attempts.judge(Rejection("way", self._who.slot, label))
         return found
@@ -348,8 +350,7 @@ class Planner:
         if wheel is None or self._who.slot != "driver":
             return False, False
         palms = self._who.person.pose(pose.q, pose.root).palms
-        local = [(rp.matmul(invert(wheel.vehicle_from_wheel), palms[side]))[:3, 3] for side in "lr"]
-        off = [float(rp.hypot(rp.hypot(p[0], p[1]) - wheel.rim_radius_m, p[2])) for p in local]
+        off = [rim_distance(wheel, palms[side][:3, 3]) for side in "lr"]
         return off[0] < _AT_RIM_M, off[1] < _AT_RIM_M
 
     def _goal(self, step: Step, now: _Goal, time_s: float, number: int, reach: Reach | None = None) -> _Goal | None:
@@ -426,8 +427,8 @@ class Planner:
 
         Hands that let go open and come off what they hold before they go anywhere; those that take hold come to it open.
         """
-        leaving, after = self._let_go(now, goal, time_s)
-        coming, before = self._let_go(goal, now, time_s)
+        leaving, after = self._let_go(now, goal, time_s, wary=interior > 0)
+        _, before = self._let_go(goal, now, time_s, wary=interior > 0)
         first, last = (after or [now.via or now.pose])[-1], (before or [goal.via or goal.pose])[-1]
         ends = track.state_of(first), track.state_of(last)
         kept = [a and b and side not in leaving for side, (a, b) in enumerate(zip(now.holds, goal.holds, strict=True))]
@@ -446,18 +447,27 @@ class Planner:
         states += [track.state_of(pose) for pose in (*before[::-1], *([goal.via] if goal.via else []), goal.pose)]
         return np.stack(states)
 
-    def _let_go(self, at: _Goal, other: _Goal, time_s: float) -> tuple[set[int], list[Pose]]:
-        """Which hands of a pose leave what they hold, on the way to or from another one, and the poses in which they do so."""
+    def _let_go(self, at: _Goal, other: _Goal, time_s: float, *, wary: bool) -> tuple[set[int], list[Pose]]:
+        """Which hands of a pose leave what they hold, on the way to or from another one, and the poses in which they do so.
+
+        wary: hands that are near the rim, but do not hold it, are drawn back from it too.
+        """
+        body, wheel = self._who.person.pose(at.pose.q, at.pose.root), self._around.cabin.steering_wheel
+        theirs = self._who.person.pose(other.pose.q, other.pose.root)
         sides = {side for side in (0, 1) if at.closed[side] and not self._stays(side, at, other)}
-        if not sides or at.via is not None:
+        by, back = {side: -_OFF_M * body.palms["lr"[side]][:3, 2] for side in sides}, set[int]()
+        if wheel is not None and self._who.slot == "driver":
+            near = {side: rim_distance(wheel, body.palms["lr"[side]][:3, 3]) for side in (0, 1) if wary and not at.closed[side]}
+            moved = {s: rp.norm(body.palms["lr"[s]][:3, 3] - theirs.palms["lr"[s]][:3, 3]) for s in near}
+            back = {side for side, off_m in near.items() if off_m < _NEAR_RIM_M < moved[side]}
+            for side in (side for side in (0, 1) if side in back or (side in sides and at.holds[side])):
+                by[side] = by.get(side, np.zeros(3)) + _BACK_M * wheel.vehicle_from_wheel[:3, 2]  # towards the driver
+        if not by or at.via is not None:
             return sides, []
         opened = at.pose._replace(q=at.pose.q.copy(), fingers=_opened(at.pose, sides))
         opened.q[[_GRIP[side] for side in sides]] = _OPEN
-        body, wheel = self._who.person.pose(opened.q, opened.root), self._around.cabin.steering_wheel
-        by = {side: -_OFF_M * body.palms["lr"[side]][:3, 2] for side in sides}
-        if wheel is not None:  # out of the rim, towards the driver
-            by |= {side: by[side] + _BACK_M * wheel.vehicle_from_wheel[:3, 2] for side in sides if at.holds[side]}
-        return sides, [opened, self._aside(at, by, time_s, opened)]
+        off = self._aside(at, by, time_s, opened)
+        return sides, [opened, off] if sides else [off]
 
     def _stays(self, side: int, one: _Goal, two: _Goal) -> bool:
         """Whether a hand holds the wheel at the same place of its rim in two poses."""
@@ -502,6 +512,12 @@ class Planner:
     def _soles(self, start: Pose, end: Pose, share: float) -> tuple[Matrix, Matrix]:
         one, two = (self._who.person.pose(pose.q, pose.root) for pose in (start, end))
         return _mixed(one.soles["l"], two.soles["l"], share), _mixed(one.soles["r"], two.soles["r"], share)
+
+
+def rim_distance(wheel: SteeringWheel, point: Floats) -> float:
+    """m, of a point (3,) from the axis of a wheel's rim."""
+    local = rp.matmul(wheel.vehicle_from_wheel[:3, :3].T, point - wheel.vehicle_from_wheel[:3, 3])
+    return float(rp.hypot(rp.hypot(local[0], local[1]) - wheel.rim_radius_m, local[2]))
 
 
 def _opened(pose: Pose, sides: Iterable[int]) -> Floats:
