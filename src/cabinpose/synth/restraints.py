@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
-from cabinpose.scene.cabin import WEBBING_WIDTH, BeltWear, Cabin, SeatSetting, Wearer, fastening_surface
+from cabinpose.scene.cabin import WEBBING_WIDTH, BeltWear, Cabin, SeatSetting, Wearer, fastening_surface, loose_belt
 from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
@@ -93,10 +93,15 @@ def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.rando
         width = WEBBING_WIDTH if on.thing.lying is None else _INFANT_STRAP_M
         harness = wearer.harness(*straps(on, person.posed), width_m=width)
         return replace(person, surfaces=(clothed, harness), belt="harness")
+    tongue, setting = person.tongue, cast.settings[person.slot]
+    if tongue is not None and tongue.how == "loose":
+        return replace(person, surfaces=(clothed, loose_belt(seat, setting, cast.cabin, tongue.at)), belt="none")
+    if tongue is not None and tongue.how == "drawn":
+        return replace(person, surfaces=(clothed, wearer.belt_in_hand(seat, setting, cast.cabin, tongue.at)), belt="none")
+    how = "worn" if tongue is not None and how == "none" else how
     if seat.belt is None or how == "none" or person.slot in cast.doing:
         return replace(person, surfaces=(clothed,))
     guide = None if on is None else belt_guide(on, person.posed, seat.belt.upper)
-    setting = cast.settings[person.slot]
     belt = wearer.belt(seat, setting, cast.cabin, worn=how, guide=guide)
     return replace(person, surfaces=(clothed, belt), belt=how)
 

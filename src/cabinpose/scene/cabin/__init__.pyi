@@ -4,7 +4,9 @@ from .belt import BeltWear as BeltWear
 from .belt import Wearer as Wearer
 from .belt import belt_surface as belt_surface
 from .belt import fastening_surface as fastening_surface
+from .belt import hanging_tongue as hanging_tongue
 from .belt import harness_surface as harness_surface
+from .belt import loose_belt as loose_belt
 from .build import SEATS_OF_ALL as SEATS_OF_ALL
 from .build import build_cabin as build_cabin
 from .car_draft import draft_car_file as draft_car_file

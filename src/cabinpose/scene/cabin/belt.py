@@ -27,6 +27,8 @@ WEBBING_WIDTH = 0.047  # UN R16: at least 46 mm wide under load
 WEBBING_THICKNESS = 0.0015
 _ASIDE = np.radians(60.0)  # from straight ahead, as far as a collar bone leads the belt
 _BETWEEN_M = 0.08  # by which one shoulder is nearer to the anchor than the other, where the belt lies on that one alone
+# Of the tongue of a belt that hangs: how far down to the lap's anchor it is, off that line to the door and to the back (assumed).
+_HANGS, _BESIDE_M, _BEHIND_M = 0.42, 0.04, 0.06
 STEPS = 40  # cross-sections of a ribbon
 
 # Bones of the trunk, by which the flesh about the shoulders is told from the rest of it: ends, the piece of the bone (0 first end
@@ -104,6 +106,21 @@ class Wearer(NamedTuple):
         courses.append(_Course(anchors.outer_lap, front_of_pelvis, anchors.buckle, ahead + up, lap=True))
         return merge([_ribbon(body, course, gap_m) for course in courses])
 
+    def belt_in_hand(self, seat: Seat, setting: SeatSetting, cabin: Cabin, tongue: Vector, *, gap_m: float = 0.004) -> Surface:
+        """The belt of a seat while a hand draws it across: from its guide to the tongue, and from there to the lap's anchor.
+
+        tongue: (3,) m, vehicle frame. Raises what `belt` does.
+        """
+        anchors, body = _anchors(seat, setting, cabin), _Trunk.of(self)
+        front = 0.4 * body.ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
+        collar = body.collar(body.shoulder_at(anchors.upper))
+        lap = 0.5 * (anchors.outer_lap + tongue) + body.size * (0.10 * body.ahead + 0.05 * body.up)
+        courses = (
+            _Course(anchors.upper, _kept_in_front(anchors.upper, collar, tongue, front), tongue, front),
+            _Course(anchors.outer_lap, lap, tongue, body.ahead + body.up, lap=True),
+        )
+        return merge([_ribbon(body, course, gap_m) for course in courses])
+
     def harness(self, slots: Floats, hips: Floats, *, gap_m: float = 0.004, width_m: float = WEBBING_WIDTH) -> Surface:
         """The harness of a child seat over the child in it, vehicle frame, class child_seat.
 
@@ -119,6 +136,25 @@ class Wearer(NamedTuple):
         before = body.pelvis + 0.12 * body.size * body.ahead
         courses += [_Course(hip, before, buckle, body.ahead + body.up, lap=True) for hip in hips]
         return merge([_ribbon(body, course, gap_m, "child_seat", width_m) for course in courses])
+
+
+def hanging_tongue(seat: Seat, setting: SeatSetting, cabin: Cabin) -> Vector:
+    """(3,) m, vehicle frame: where the tongue of a belt hangs that nobody wears, beside the backrest."""
+    anchors = _anchors(seat, setting, cabin)
+    forward, outwards = seat.vehicle_from_seat(setting)[:3, 0], anchors.outer_lap - anchors.buckle
+    straight = anchors.upper + _HANGS * (anchors.outer_lap - anchors.upper)
+    return np.asarray(straight + _BESIDE_M * outwards / rp.norm(outwards) - _BEHIND_M * forward)
+
+
+def loose_belt(seat: Seat, setting: SeatSetting, cabin: Cabin, tongue: Vector) -> Surface:
+    """A belt that nobody wears: straight from its guide to the tongue (3,) m, vehicle frame, and to the lap's anchor."""
+    anchors, forward = _anchors(seat, setting, cabin), seat.vehicle_from_seat(setting)[:3, 0]
+    nowhere, no_faces = np.zeros(3), np.zeros((0, 3), np.int32)
+    body = _Trunk(
+        np.zeros((1, 3), np.float32), (no_faces, no_faces), np.zeros((len(_GIRTH), 2, 3)), {}, nowhere, forward, forward, 1.0
+    )
+    courses = [_Course(a, a + forward, b, None) for a, b in ((anchors.upper, tongue), (anchors.outer_lap, tongue))]
+    return merge([_ribbon(body, course, 0.004) for course in courses])
 
 
 class _Trunk(NamedTuple):

@@ -7,7 +7,7 @@ the way.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,9 +18,9 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, Person
 from cabinpose.scene.cabin import Cabin, SeatSetting, SteeringWheel
 from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.motion.activities import RECEIVE, Step, inboard_neighbour, resting, steps_of
+from cabinpose.synth.motion.activities import BUCKLE_UP, RECEIVE, Step, inboard_neighbour, resting, steps_of
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
-from cabinpose.synth.motion.track import CLOSING_S, Held, Pose, Segment, Track, duration, way_through
+from cabinpose.synth.motion.track import CLOSING_S, Buckling, Held, Pose, Segment, Track, duration, way_through
 from cabinpose.synth.posture.actions import inboard_side
 from cabinpose.synth.posture.goals import between, given, holding, staying, turning_freely
 from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
@@ -50,6 +50,7 @@ _FLESH_M = 0.6  # of two people's skins from their joints, at the most
 _BREATHS = 8  # poses of a still person that are tried
 _ROUNDABOUT, _ROUND_HAND = 1.8, 2.7  # of a way's duration against the straight one's; to another one's hand, or from there
 _STOP_S = 0.45  # for each pose in which hands let go or draw back
+_PLUGGED, _PLUGS_S = 2, 0.1  # steps until a belt's tongue is at its buckle; until it is in there
 _SETTLE = 0.5  # of what a hold may be shorter or longer
 _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
@@ -181,6 +182,8 @@ class Planner:
             self.time_s = float(self._rng.uniform(*_FIRST_S)) * min(1.0, self._lasts_s)
             return self._refused(0.0, min(self.time_s, self._lasts_s)) is None
         choices = self._who.activities(self._track.hold)
+        if self._track.buckling or any(s.activity == "belt" for s in self._track.segments):  # the belt is worn by then
+            choices = {name: weight for name, weight in choices.items() if name != BUCKLE_UP} or {self._rest(self._track.hold).action: 1.0}
         for number in range(self._habit, self._habit + _TRIES):
             found = self._do(weighted(choices, rng=self._rng), self._now, self.time_s, number)
             if found is not None:
@@ -205,13 +208,28 @@ class Planner:
         steps = steps_of(activity, cabin.seats[self._who.slot], cabin, self._track.hold)
         for step in steps:
             found = self._step(activity, step, now, time_s, number)
+            if found is None and activity == BUCKLE_UP and len(segments) < first + _PLUGGED:
+                del segments[first:]  # a tongue that is not plugged in would be let go
+                return None
             if found is None:
                 segments[first:] = [s._replace(activity=step.action) for s, step in zip(segments[first:], steps, strict=False)]
                 break
             done = now, time_s = found
+            if activity == BUCKLE_UP and len(segments) == first + _PLUGGED:
+                self._track.buckling = self._buckled(segments[first:])
             if time_s >= self._lasts_s:
                 break
         return done
+
+    def _buckled(self, steps: Sequence[Segment]) -> Buckling:
+        """When a belt's tongue is taken and plugged in by these steps: by the hand that is nearer to the buckle at the end."""
+        seat, (taken, plugged) = self._around.cabin.seats[self._who.slot], steps
+        anchors = seat.belt_anchors(self._around.settings[self._who.slot])
+        assert anchors is not None  # of places that exist
+        pose = self._track.pose_of(plugged.last)
+        palms = self._who.person.pose(pose.q, pose.root).palms
+        off = [rp.norm(palms[side][:3, 3] - anchors.buckle) for side in "lr"]
+        return Buckling(int(off[1] < off[0]), taken.start_s + taken.lasts_s, plugged.start_s + plugged.lasts_s + _PLUGS_S)
 
     def _step(self, activity: str, step: Step, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
         track, tempo = self._track, step.haste * self._tempo
@@ -326,7 +344,7 @@ class Planner:
             self._attempts.judge(Rejection("way", self._who.slot, label))
         return found
 
-    def _rest(self, held: Hold) -> Step:
+    def _rest(self, held: Hold | None) -> Step:
         """Back to rest with something in a hand."""
         cabin = self._around.cabin
         return Step(resting(cabin.seats[self._who.slot], cabin, held), haste=_HASTE)

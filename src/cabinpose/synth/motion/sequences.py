@@ -12,7 +12,7 @@ import numpy as np
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
-from cabinpose.synth.motion.activities import RECORDED, activities_for, inboard_neighbour, program_of, resting
+from cabinpose.synth.motion.activities import BUCKLE_UP, RECORDED, activities_for, inboard_neighbour, program_of, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import WHEEL_LIMIT, Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
@@ -159,7 +159,7 @@ class _Choices:
 
     def __init__(self, cast: Cast, scene: CabinScene, sequence: SequenceConfig) -> None:
         self._cast, self._activities, self._weights = cast, sequence.activities or (), scene.weights
-        self._empty = scene.in_hand == 0.0
+        self._empty, self._scene = scene.in_hand == 0.0, scene
         self.free = [slot for slot in cast.people if slot not in scene.recorded and slot not in cast.child_seats]
 
     def of(self, slot: str, hold: Hold | None, *, at_first: bool = False) -> dict[str, float]:
@@ -176,6 +176,9 @@ class _Choices:
         possible = activities_for(seat, cabin, hold, taken, in_child_seat=child, asked_for=asked_for)
         if slot not in self.free or inboard_neighbour(seat, cabin, taken) not in self.free or not (bare or hold):
             possible = tuple(name for name in possible if name != "hand_over")
+        given = self._scene.occupant(slot)
+        if self._scene.belted == 0.0 or given.belted is False or given.belt == "none":
+            possible = tuple(name for name in possible if name != BUCKLE_UP)
         if weights is None and child:
             held = {name: 1.0 for name, action in OWN_ACTIONS.items() if action.in_hand == "always"}
             weights = IN_CHILD_SEAT if bare else {**IN_CHILD_SEAT, **held}

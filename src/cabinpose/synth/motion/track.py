@@ -17,6 +17,7 @@ from cabinpose.scene.body import CLOSING, DOF_INDEX, DOFS, LOWER, UPPER, Person,
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, FASTEST_GRIP, progress, progress_rate
 from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
+from cabinpose.synth.scene import Tongue
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -33,6 +34,7 @@ FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL], np.ful
 _SHORTEST_S = 0.35
 CLOSING_S, _OPEN_S = 0.25, 0.8  # in which fingers open, and close around something; for which they stay open before and after
 _GRIPS = [DOF_INDEX[side + "hand.grip"] for side in "lr"]
+_IN_FIST_M = 0.012  # of webbing from the palm's origin
 _LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 _CURL = -0.4, 1.0  # of fingers, from wide open to a fist
 _LEAST_APART = 0.1  # of the longest piece of a way
@@ -139,15 +141,24 @@ class Held(NamedTuple):
         return closed * self.hold.grasp.curl + (1.0 - closed) * (opened * OPEN_HAND + (1.0 - opened) * free)
 
 
+class Buckling(NamedTuple):
+    """When a hand (0 left, 1 right) takes the tongue of the belt, and when it is plugged in, s."""
+
+    side: int
+    grasp_s: float
+    plug_s: float
+
+
 class Track:
     """One person's motion; see the module. It begins at a pose that is held until the first segment.
 
-    holds: what is in a hand, one after the other.
+    holds: what is in a hand, one after the other · buckling: of who buckles up, which nobody does twice.
     """
 
     def __init__(self, first: Pose, activity: str, idle: Idle, idle_share: float, hold: Hold | None = None) -> None:
         self.idle, self.idle_share = idle, idle_share
         self.holds = [] if hold is None else [Held(hold)]
+        self.buckling: Buckling | None = None
         self.segments: list[Segment] = []
         self._rotation = first.root[:3, :3]
         self._activity = activity
@@ -201,6 +212,22 @@ class Track:
     def held(self, slot: str, body: PosedBody, time_s: float) -> tuple[PlacedThing, ...]:
         """What somebody in a seat and a pose holds at a time."""
         return tuple(held.hold.thing(slot, body) for held in self.holds if held.start_s <= time_s < held.end_s)
+
+    def tongue(self, body: PosedBody, time_s: float, ends: tuple[Floats, Floats]) -> Tongue | None:
+        """The tongue of the belt at a time, of a body as it is then; None for who does not buckle up.
+
+        ends: (3,) m where it hangs and where it is plugged in. It comes to the hand that is there, and leaves it at the buckle.
+        """
+        if self.buckling is None:
+            return None
+        side, grasp_s, plug_s = self.buckling
+        if time_s >= plug_s:
+            return Tongue(ends[1], "plugged")
+        palm = body.palms["lr"[side]]
+        hand = palm[:3, 3] + _IN_FIST_M * palm[:3, 2]
+        come, gone = progress(np.array([time_s - grasp_s, time_s - plug_s]) / CLOSING_S + 1.0).tolist()
+        held = (1.0 - gone) * hand + gone * ends[1]
+        return Tongue((1.0 - come) * ends[0] + come * held, "loose" if time_s < grasp_s else "drawn")
 
     def activity(self, time_s: float) -> str:
         """What is being done at a time."""
