@@ -43,7 +43,9 @@ _PAUSE_S = 0.7  # until the next try
 _HELD_M = 0.03  # a palm that is nearer than this to where it was on the rim has not let go
 _AT_RIM_M = 0.04  # of a palm's origin from the rim's axis
 _OFF_M, _BACK_M = 0.04, 0.12  # of a hand that has just let go: along the palm's normal, and along the wheel's axis
-_NEAR_RIM_M = 0.16  # of a palm's origin from the rim's axis
+_NEAR_RIM_M, _MOVES_M = 0.16, 0.16  # of a palm's origin from the rim's axis; by which a hand goes somewhere else
+_LOW_M, _LIFTED_M = 0.35, 0.10  # over the pelvis, of hands in a lap; by which they are lifted before they go anywhere
+_PELVIS = CABINPOSE.index["hip"]
 _OPEN, _SPREAD = 0.05, 0.5  # its grip, and its fingers
 _GRIP = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
 _FLESH_M = 0.6  # of two people's skins from their joints, at the most
@@ -468,18 +470,23 @@ class Planner:
     def _let_go(self, at: _Goal, other: _Goal, time_s: float, *, wary: bool) -> tuple[set[int], list[Pose]]:
         """Which hands of a pose leave what they hold, on the way to or from another one, and the poses in which they do so.
 
-        wary: hands that are near the rim, but do not hold it, are drawn back from it too.
+        wary: hands that are near the rim, but do not hold it, are drawn back from it too, and those in a lap are lifted.
         """
-        body, wheel = self._who.person.pose(at.pose.q, at.pose.root), self._around.cabin.steering_wheel
-        theirs = self._who.person.pose(other.pose.q, other.pose.root)
+        wheel = self._around.cabin.steering_wheel if self._who.slot == "driver" else None
+        body, theirs = (self._who.person.pose(goal.pose.q, goal.pose.root) for goal in (at, other))
+        palms = [body.palms[side] for side in "lr"]
         sides = {side for side in (0, 1) if at.closed[side] and not self._stays(side, at, other)}
-        by, back = {side: -_OFF_M * body.palms["lr"[side]][:3, 2] for side in sides}, set[int]()
-        if wheel is not None and self._who.slot == "driver":
-            near = {side: rim_distance(wheel, body.palms["lr"[side]][:3, 3]) for side in (0, 1) if wary and not at.closed[side]}
-            moved = {s: rp.norm(body.palms["lr"[s]][:3, 3] - theirs.palms["lr"[s]][:3, 3]) for s in near}
-            back = {side for side, off_m in near.items() if off_m < _NEAR_RIM_M < moved[side]}
-            for side in (side for side in (0, 1) if side in back or (side in sides and at.holds[side])):
-                by[side] = by.get(side, np.zeros(3)) + _BACK_M * wheel.vehicle_from_wheel[:3, 2]  # towards the driver
+        by = {side: -_OFF_M * palms[side][:3, 2] for side in sides}
+        moves = [side for side, s in enumerate("lr") if rp.norm(palms[side][:3, 3] - theirs.palms[s][:3, 3]) > _MOVES_M]
+        for side in moves if wary else ():
+            low = palms[side][2, 3] - body.joints[_PELVIS, 2] < _LOW_M
+            if wheel is None and low:
+                by[side] = np.array((0.0, 0.0, _LIFTED_M))
+            elif wheel is not None and not at.closed[side] and rim_distance(wheel, palms[side][:3, 3]) < _NEAR_RIM_M:
+                by[side] = _BACK_M * wheel.vehicle_from_wheel[:3, 2]
+        for side in sides if wheel is not None else ():
+            if at.holds[side]:
+                by[side] = by[side] + _BACK_M * wheel.vehicle_from_wheel[:3, 2]  # towards the driver
         if not by or at.via is not None:
             return sides, []
         opened = at.pose._replace(q=at.pose.q.copy(), fingers=_opened(at.pose, sides))
