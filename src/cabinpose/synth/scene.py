@@ -101,22 +101,34 @@ class Scene:
         return 0 if thing.at == "seat" else 1 + OCCUPANT_SLOTS.index(thing.slot)
 
 
+class Tried(NamedTuple):
+    """An activity of a sequence that somebody tried: the seat's slot, and what was against it first; "" where it was done."""
+
+    slot: str
+    activity: str
+    against: str = ""
+
+
 @dataclass
 class Attempts:
     """What was tried to find a scene. scenes: those drawn, in words · proposals: poses, and activities of sequences ·
-    judged: poses, and ways of sequences, of which it was said whether they hold · rejections: those that do not, and why.
+    judged: poses, and ways of sequences, of which it was said whether they hold · rejections: those that do not, and why ·
+    tried: activities of sequences, and how they ended.
     """
 
     scenes: list[str] = field(default_factory=list)
     proposals: int = 0
     judged: int = 0
     rejections: Counter[Rejection] = field(default_factory=Counter)
+    tried: Counter[Tried] = field(default_factory=Counter)
+    last_refused: Rejection | None = None
 
     def judge(self, refused: Rejection | None) -> None:
         """Count a pose or way that was judged, and what is against it; None: it holds."""
         self.judged += 1
         if refused is not None:
             self.rejections[refused] += 1
+            self.last_refused = refused
 
 
 class ImpossibleSceneError(SceneError):

@@ -58,6 +58,7 @@ _PROGRAMS: Mapping[str, Program] = MappingProxyType(
 )
 # Before somebody who drives there is no room to bend forward.
 _OF_DRIVERS = MappingProxyType({"reach_floor": "reach_beside"})
+_BARE = MappingProxyType({"bite": "at_mouth"})  # with nothing in the hand
 _SINGLE_HOLD_S = 0.8
 RECORDED = "mocap"  # what people do whom a recording moves: the kind of their profile
 RECEIVE = "receive"  # what the other one does in `hand_over`
@@ -91,7 +92,7 @@ def steps_of(activity: str, seat: Seat, cabin: Cabin, hold: Hold | None = None) 
     if len(steps) == 1:
         return steps
     drives = seat.slot == "driver" and cabin.steering_wheel is not None
-    instead = {**(_OF_DRIVERS if drives else {}), "rest_lap": resting(seat, cabin, hold)}
+    instead = {**(_OF_DRIVERS if drives else {}), **(_BARE if hold is None else {}), "rest_lap": resting(seat, cabin, hold)}
     return tuple(step._replace(action=instead.get(step.action, step.action)) for step in steps)
 
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from cabinpose.core import CABINPOSE, Floats, Matrix, invert, nearest_rigid, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, Person
-from cabinpose.scene.cabin import Cabin, SeatSetting, SteeringWheel
+from cabinpose.scene.cabin import Cabin, SeatSetting, SteeringWheel, hanging_tongue
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.activities import BUCKLE_UP, RECEIVE, Step, inboard_neighbour, resting, steps_of
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
@@ -27,7 +27,7 @@ from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
 from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
 from cabinpose.synth.posture.solver import Sitter, solve
-from cabinpose.synth.scene import Attempts
+from cabinpose.synth.scene import Attempts, Tried
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 CHECKS_PER_FRAME = 3
 _INTERIOR = (0, 1, 3, 7)  # poses between the ends of a way that are tried, one number after the other
 _LED = 3  # of them at least, where a hand stays at the rim
-_TRIES = 6  # activities tried at one moment
+_TRIES, _OTHERS = 6, 2  # activities tried at one moment, and then of those that nobody asked for
 _FIRST_S = (0.1, 0.8)  # when the first activity begins
 _PAUSE_S = 0.7  # until the next try
 _HELD_M = 0.03  # a palm that is nearer than this to where it was on the rim has not let go
@@ -66,13 +66,21 @@ _WHEEL_SIGMA, WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
 DrawGoal = Callable[[str, float, Hold | None, int, float, Reach | None], Drawn]
 
 
+class Activities(Protocol):
+    """See `Somebody`."""
+
+    def __call__(self, hold: Hold | None, *, anything: bool) -> Mapping[str, float]: ...
+
+
 class Somebody(NamedTuple):
-    """Who moves: the seat's slot, the person, and the activities to choose from by their weights, with what is held."""
+    """Who moves: the seat's slot, the person, and the activities to choose from by their weights, with what is held: those that are
+    asked for, or anything.
+    """
 
     slot: str
     person: Person
     draw: DrawGoal
-    activities: Callable[[Hold | None], Mapping[str, float]]
+    activities: Activities
 
 
 class _Goal(NamedTuple):
@@ -177,25 +185,32 @@ class Planner:
         return False
 
     def advance(self) -> bool:
-        """Wait for a moment at first, then do one more activity; False where not even waiting is free, or nothing else was."""
+        """Wait for a moment at first, then do one more activity, or rest where none is free; False where not even that is."""
         if self._now is None:
             start = self._track.pose_of(self._track.last)
             self._now = _Goal(start, (holds := self._holds_at(start)), holds)
             self.time_s = float(self._rng.uniform(*_FIRST_S)) * min(1.0, self._lasts_s)
             return self._refused(0.0, min(self.time_s, self._lasts_s)) is None
-        choices = self._who.activities(self._track.hold)
-        if self._track.buckling or any(s.activity == "belt" for s in self._track.segments):  # the belt is worn by then
-            choices = {name: weight for name, weight in choices.items() if name != BUCKLE_UP} or {self._rest(self._track.hold).action: 1.0}
-        for number in range(self._habit, self._habit + _TRIES):
-            found = self._do(weighted(choices, rng=self._rng), self._now, self.time_s, number)
+        for number in range(self._habit, self._habit + _TRIES + _OTHERS):
+            choices = self._choices(anything=number - self._habit >= _TRIES)
+            activity, self._attempts.last_refused = weighted(choices, rng=self._rng), None
+            found = self._do(activity, self._now, self.time_s, number)
+            against = "" if found else str(self._attempts.last_refused or "nobody takes it")
+            self._attempts.tried[Tried(self._who.slot, activity, against)] += 1
             if found is not None:
                 (self._now, self.time_s), self._habit = found, number
-                break
-        else:
-            if self._refused(self.time_s, min(self.time_s + _PAUSE_S, self._lasts_s)) is not None:
-                return False
-            self.time_s += _PAUSE_S
-        return self.time_s < self._lasts_s or bool(self._track.segments)
+                return True
+        if self._refused(self.time_s, min(self.time_s + _PAUSE_S, self._lasts_s)) is not None:
+            return False
+        self.time_s += _PAUSE_S
+        return True
+
+    def _choices(self, *, anything: bool) -> Mapping[str, float]:
+        """What may be done now; anything: whatever makes sense, where nothing that is asked for had a free way."""
+        choices = self._who.activities(self._track.hold, anything=anything)
+        if self._track.buckling or any(s.activity == "belt" for s in self._track.segments):  # the belt is worn by then
+            choices = {name: weight for name, weight in choices.items() if name != BUCKLE_UP}
+        return choices or {self._rest(self._track.hold).action: 1.0}
 
     def _do(self, activity: str, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
         """Appends an activity's segments; where it ends, or None where not even its first step is possible.
@@ -217,21 +232,21 @@ class Planner:
                 segments[first:] = [s._replace(activity=step.action) for s, step in zip(segments[first:], steps, strict=False)]
                 break
             done = now, time_s = found
-            if activity == BUCKLE_UP and len(segments) == first + _PLUGGED:
-                self._track.buckling = self._buckled(segments[first:])
             if time_s >= self._lasts_s:
                 break
+        if activity == BUCKLE_UP:
+            self._track.buckling = self._buckled(segments[first:])
         return done
 
     def _buckled(self, steps: Sequence[Segment]) -> Buckling:
-        """When a belt's tongue is taken and plugged in by these steps: by the hand that is nearer to the buckle at the end."""
-        seat, (taken, plugged) = self._around.cabin.seats[self._who.slot], steps
-        anchors = seat.belt_anchors(self._around.settings[self._who.slot])
-        assert anchors is not None  # of places that exist
-        pose = self._track.pose_of(plugged.last)
+        """When a belt's tongue is taken and plugged in by these steps, and by which hand; a sequence may end before that."""
+        slot, around, taken = self._who.slot, self._around, steps[0]
+        hangs = hanging_tongue(around.cabin.seats[slot], around.settings[slot], around.cabin)
+        pose = self._track.pose_of(taken.last)
         palms = self._who.person.pose(pose.q, pose.root).palms
-        off = [rp.norm(palms[side][:3, 3] - anchors.buckle) for side in "lr"]
-        return Buckling(int(off[1] < off[0]), taken.start_s + taken.lasts_s, plugged.start_s + plugged.lasts_s + _PLUGS_S)
+        off = [rp.norm(palms[side][:3, 3] - hangs) for side in "lr"]
+        plug_s = steps[1].start_s + steps[1].lasts_s + _PLUGS_S if len(steps) >= _PLUGGED else np.inf
+        return Buckling(int(off[1] < off[0]), taken.start_s + taken.lasts_s, plug_s)
 
     def _step(self, activity: str, step: Step, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
         track, tempo = self._track, step.haste * self._tempo

@@ -162,11 +162,11 @@ class _Choices:
         self._empty, self._scene = scene.in_hand == 0.0, scene
         self.free = [slot for slot in cast.people if slot not in scene.recorded and slot not in cast.child_seats]
 
-    def of(self, slot: str, hold: Hold | None, *, at_first: bool = False) -> dict[str, float]:
+    def of(self, slot: str, hold: Hold | None, *, at_first: bool = False, anything: bool = False) -> dict[str, float]:
         """Activities by weight; where none of those asked for makes sense in a seat, any that does.
 
         at_first: when it is drawn what is in the hand, so that empty hands also do what needs a thing. Later they do so where
-        there is nothing else to do, or where nobody has anything in the hand.
+        there is nothing else to do, or where nobody has anything in the hand · anything: whatever is asked for.
         """
         bare = at_first or self._empty
         cabin, taken, child = self._cast.cabin, self._cast.people, slot in self._cast.child_seats
@@ -185,7 +185,7 @@ class _Choices:
         if weights is None:
             weights = {name: OWN_ACTIONS[name].weight if name in OWN_ACTIONS else _PROGRAM_WEIGHT for name in possible}
         usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}
-        result = {name: 1.0 for name in possible if name in self._activities} or usual
+        result = {name: 1.0 for name in possible if name in self._activities and not anything} or usual
         handless = (
             result if bare or hold is not None else {name: w for name, w in result.items() if program_of(name).held_at is None}
         )
