@@ -65,7 +65,8 @@ def medians(found: list[tuple[str, float, float, float]]) -> dict[str, dict[str,
         peak, mean, acceleration = np.array(rows).T
         result[activity] = {
             "movements": len(rows), "peak_m_s": round(float(np.median(peak)), 2), "mean_m_s": round(float(np.median(mean)), 2),
-            "peak_over_mean": round(float(np.median(peak / mean)), 2), "acceleration_m_s2": round(float(np.median(acceleration)), 1),
+            "peak_over_mean": round(float(np.median(peak / mean)), 2),
+            "acceleration_m_s2": round(float(np.median(acceleration)), 1),
         }  # fmt: skip
     return result
 
@@ -106,10 +107,12 @@ def main() -> None:
         done, worst = sum(mine.values()) - sum(against.values()), against.most_common(1)
         rows[f"{slot} {activity}"] = {"tried": sum(mine.values()), "done": done, "against": worst[0][0] if worst else ""}
         print(f"{slot:16}{activity:20}{sum(mine.values()):5}{done:5}  {worst[0][0] if worst else ''}", file=sys.stderr)
+    times, done = (max(sum(row[of] for row in rows.values()), 1) for of in ("tried", "done"))
     result = {
-        "version": cabinpose.__version__, "seed": given.seed, "sequences": given.sequences, "given_up": given_up, "scenes": scenes,
+        "version": cabinpose.__version__, "seed": given.seed, "sequences": given.sequences, "given_up": given_up,
+        "scenes": scenes,
         "acceptance": round(1.0 - sum(rejections.values()) / max(judged, 1), 3), "judged": judged,
-        "activities_done": round(sum(row["done"] for row in rows.values()) / max(sum(row["tried"] for row in rows.values()), 1), 3),
+        "activities_done": round(done / times, 3),
         "causes": by_cause(rejections), "most": most_common(rejections, 5), "activities": rows, "hands": medians(found),
     }  # fmt: skip
     print(json.dumps({k: v for k, v in result.items() if k not in ("activities", "hands")}, indent=1), file=sys.stderr)

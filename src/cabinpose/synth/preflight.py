@@ -170,7 +170,11 @@ def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
     always = scene.always_taken
     taken = bool(always) or any(scene.occupancy.get(slot, 0.0) > 0 for slot in SEATS_OF_ALL)
     ours = all(name in VIEWS_OF_ALL and isinstance(config.camera.views[name], float) for name in config.camera.weights)
-    acting = scene.motion or (scene.sequence is not None and scene.sequence.activities) or any(occupant.action for occupant in scene.occupants.values())
+    acting = (
+        scene.motion
+        or (scene.sequence is not None and scene.sequence.activities)
+        or any(occupant.action for occupant in scene.occupants.values())
+    )
     return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
 
 
@@ -226,7 +230,7 @@ def _check_activities(scene: CabinScene, car: _Car) -> None:
     able = {name for s in taken for name in activities_for(car.cabin.seats[s], car.cabin, None, taken, asked_for=asked)}
     if taken and not able & set(asked):
         raise ConfigError(
-            f"{car.name}: {', '.join(asked)} makes no sense for anybody: {', '.join(taken)} {'is' if len(taken) == 1 else 'are'} taken",
+            f"{car.name}: {', '.join(asked)} makes no sense for anybody; the seats that are taken: {', '.join(taken)}",
             hint=f"there: {', '.join(name for name in ACTIVITIES if name in able)}",
         )
 

@@ -7,26 +7,27 @@ the way.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from cabinpose.core import CABINPOSE, Floats, Matrix, invert, nearest_rigid, transform
+from cabinpose.core import CABINPOSE, Floats, Matrix, invert
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import DOF_INDEX, Person
-from cabinpose.scene.cabin import Cabin, SeatSetting, SteeringWheel, hanging_tongue
+from cabinpose.scene.body import Person
+from cabinpose.scene.cabin import Cabin, SeatSetting, hanging_tongue
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.activities import BUCKLE_UP, RECEIVE, Step, inboard_neighbour, resting, steps_of
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
 from cabinpose.synth.motion.track import CLOSING_S, Buckling, Held, Pose, Segment, Track, duration, way_through
+from cabinpose.synth.motion.ways import HELD_M, Goal, Ways, rim_distance
 from cabinpose.synth.posture.actions import inboard_side
-from cabinpose.synth.posture.goals import between, given, holding, staying, turning_freely
-from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
+from cabinpose.synth.posture.goals import given, holding, staying
+from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
-from cabinpose.synth.posture.solver import Sitter, solve
+from cabinpose.synth.posture.solver import Sitter
 from cabinpose.synth.scene import Attempts, Tried
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
@@ -40,14 +41,7 @@ _LED = 3  # of them at least, where a hand stays at the rim
 _TRIES, _OTHERS = 6, 2  # activities tried at one moment, and then of those that nobody asked for
 _FIRST_S = (0.1, 0.8)  # when the first activity begins
 _PAUSE_S = 0.7  # until the next try
-_HELD_M = 0.03  # a palm that is nearer than this to where it was on the rim has not let go
 _AT_RIM_M = 0.04  # of a palm's origin from the rim's axis
-_OFF_M, _BACK_M = 0.04, 0.12  # of a hand that has just let go: along the palm's normal, and along the wheel's axis
-_NEAR_RIM_M, _MOVES_M = 0.16, 0.16  # of a palm's origin from the rim's axis; by which a hand goes somewhere else
-_LOW_M, _LIFTED_M = 0.35, 0.10  # over the pelvis, of hands in a lap; by which they are lifted before they go anywhere
-_PELVIS = CABINPOSE.index["hip"]
-_OPEN, _SPREAD = 0.05, 0.5  # its grip, and its fingers
-_GRIP = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
 _FLESH_M = 0.6  # of two people's skins from their joints, at the most
 _BREATHS = 8  # poses of a still person that are tried
 _ROUNDABOUT, _ROUND_HAND = 1.8, 2.7  # of a way's duration against the straight one's; to another one's hand, or from there
@@ -67,27 +61,20 @@ DrawGoal = Callable[[str, float, Hold | None, int, float, Reach | None], Drawn]
 
 
 class Activities(Protocol):
-    """See `Somebody`."""
+    """The activities of somebody by their weights, with what is held: those that are asked for, or anything."""
 
-    def __call__(self, hold: Hold | None, *, anything: bool) -> Mapping[str, float]: ...
+    def __call__(self, hold: Hold | None, *, anything: bool) -> Mapping[str, float]:
+        """By name."""
+        ...
 
 
 class Somebody(NamedTuple):
-    """Who moves: the seat's slot, the person, and the activities to choose from by their weights, with what is held: those that are
-    asked for, or anything.
-    """
+    """Who moves: the seat's slot, the person, and the activities to choose from by their weights, with what is held."""
 
     slot: str
     person: Person
     draw: DrawGoal
     activities: Activities
-
-
-class _Goal(NamedTuple):
-    pose: Pose
-    holds: tuple[bool, bool]  # the wheel
-    closed: tuple[bool, bool]  # fingers around the wheel or something else of the car
-    via: Pose | None = None  # from which a hand comes to a thing in another hand, and to which it leaves it
 
 
 class Surroundings:
@@ -161,11 +148,12 @@ class Planner:
         self, who: Somebody, around: Surroundings, attempts: Attempts, *, lasts_s: float, rng: np.random.Generator
     ) -> None:
         self._who, self._around, self._attempts, self._rng, self._lasts_s = who, around, attempts, rng, lasts_s
+        self._ways = Ways(who.slot, who.person, around)
         sigma, low, high = _TEMPO
         self._tempo = float(np.clip(rp.exp(sigma * rng.standard_normal()), low, high))
         self.tried = 0
         self.time_s = 0.0
-        self._now: _Goal | None = None
+        self._now: Goal | None = None
         self._habit = 0
 
     @property
@@ -188,14 +176,14 @@ class Planner:
         """Wait for a moment at first, then do one more activity, or rest where none is free; False where not even that is."""
         if self._now is None:
             start = self._track.pose_of(self._track.last)
-            self._now = _Goal(start, (holds := self._holds_at(start)), holds)
+            self._now = Goal(start, (holds := self._holds_at(start)), holds)
             self.time_s = float(self._rng.uniform(*_FIRST_S)) * min(1.0, self._lasts_s)
             return self._refused(0.0, min(self.time_s, self._lasts_s)) is None
         for number in range(self._habit, self._habit + _TRIES + _OTHERS):
             choices = self._choices(anything=number - self._habit >= _TRIES)
-            activity, self._attempts.last_refused = weighted(choices, rng=self._rng), None
+            activity = weighted(choices, rng=self._rng)
             found = self._do(activity, self._now, self.time_s, number)
-            against = "" if found else str(self._attempts.last_refused or "nobody takes it")
+            against = "" if found else str(self._attempts.last_refused)
             self._attempts.tried[Tried(self._who.slot, activity, against)] += 1
             if found is not None:
                 (self._now, self.time_s), self._habit = found, number
@@ -212,7 +200,7 @@ class Planner:
             choices = {name: weight for name, weight in choices.items() if name != BUCKLE_UP}
         return choices or {self._rest(self._track.hold).action: 1.0}
 
-    def _do(self, activity: str, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
+    def _do(self, activity: str, now: Goal, time_s: float, number: int) -> tuple[Goal, float] | None:
         """Appends an activity's segments; where it ends, or None where not even its first step is possible.
 
         What is broken off goes by the names of its steps.
@@ -248,7 +236,7 @@ class Planner:
         plug_s = steps[1].start_s + steps[1].lasts_s + _PLUGS_S if len(steps) >= _PLUGGED else np.inf
         return Buckling(int(off[1] < off[0]), taken.start_s + taken.lasts_s, plug_s)
 
-    def _step(self, activity: str, step: Step, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
+    def _step(self, activity: str, step: Step, now: Goal, time_s: float, number: int) -> tuple[Goal, float] | None:
         track, tempo = self._track, step.haste * self._tempo
         hold_s = step.hold_s * float(self._rng.uniform(1.0 - _SETTLE, 1.0 + _SETTLE))
         goal = self._goal(step, now, time_s, number)
@@ -273,10 +261,10 @@ class Planner:
             self._attempts.judge(reason)
         return None
 
-    def _way(self, now: _Goal, goal: _Goal, interior: int, time_s: float, tempo: float) -> tuple[PPoly, float] | None:
+    def _way(self, now: Goal, goal: Goal, interior: int, time_s: float, tempo: float) -> tuple[PPoly, float] | None:
         """A way through so many poses between two, and how long it takes, s; None for one that is too far round."""
         ends = self._track.last, self._track.state_of(goal.pose)
-        way = way_through(self._between(self._track, now, goal, interior, time_s))
+        way = way_through(self._ways.between(self._track, now, goal, interior, time_s))
         lasts_s = duration(way, tempo)
         passes = self._track.hold is not None and self._track.hold.place.passes_on
         limit = _ROUND_HAND if passes or now.via is not None or goal.via is not None else _ROUNDABOUT
@@ -284,7 +272,7 @@ class Planner:
         longest_s = limit * duration(way_through(np.stack(ends)), tempo) + 0.3 + _STOP_S * stops / tempo
         return (way, lasts_s) if lasts_s <= longest_s else None
 
-    def _hand_over(self, now: _Goal, time_s: float) -> tuple[_Goal, float] | None:
+    def _hand_over(self, now: Goal, time_s: float) -> tuple[Goal, float] | None:
         """Holds out what is held; the neighbour's hand comes, takes it and draws it away; then the empty hand goes back."""
         seats, held = self._around.cabin.seats, self._track.hold
         slot = inboard_neighbour(seats[self._who.slot], self._around.cabin, self._around.people) or ""
@@ -305,8 +293,8 @@ class Planner:
         return None
 
     def _meet(
-        self, other: Planner, held: Hold, now: tuple[_Goal, _Goal], interior: int
-    ) -> tuple[tuple[_Goal, float], tuple[_Goal, float]] | None:
+        self, other: Planner, held: Hold, now: tuple[Goal, Goal], interior: int
+    ) -> tuple[tuple[Goal, float], tuple[Goal, float]] | None:
         """See `_hand_over`: where both end. What it has planned until it fails stays."""
         people, at_s = (self._who.person, other._who.person), other.time_s
         seat, (side, free) = self._around.cabin.seats[self._who.slot], (held.side, 1 - held.side)
@@ -325,7 +313,7 @@ class Planner:
         other._track.holds.append(Held(mine, ready_s + CLOSING_S, ready_s + CLOSING_S))
         takes = other._goal(Step(RECEIVE), now[1], ready_s, other._habit, Reach(palm[:3, 3], free, palm))
         if takes is not None:
-            takes = takes._replace(via=other._aside(takes, {free: -_ASIDE_M * palm[:3, 2]}, ready_s))
+            takes = takes._replace(via=other._ways.aside(takes, {free: -_ASIDE_M * palm[:3, 2]}, ready_s))
         back = takes and other._brought(takes, now[1], interior, ready_s, RECEIVE)
         self._track.segments.pop()
         other._track.holds.pop()
@@ -343,7 +331,7 @@ class Planner:
         if refused is not None:
             return None
         # It is drawn out of the open hand, which goes back afterwards as it came.
-        takes = takes._replace(via=other._aside(takes, {free: _ASIDE_M * out[:3, 2]}, until_s))
+        takes = takes._replace(via=other._ways.aside(takes, {free: _ASIDE_M * out[:3, 2]}, until_s))
         end = other._step(RECEIVE, other._rest(held), takes, until_s, other._habit)
         if end is None:
             return None
@@ -355,7 +343,7 @@ class Planner:
             return None
         return (now[0], leave_s + way[1]), end
 
-    def _brought(self, goal: _Goal, now: _Goal, interior: int, time_s: float, label: str) -> tuple[PPoly, float] | None:
+    def _brought(self, goal: Goal, now: Goal, interior: int, time_s: float, label: str) -> tuple[PPoly, float] | None:
         found = self._way(now, goal, max(interior, _led(now, goal) * _LED), time_s, _HASTE * self._tempo)
         if found is None:
             self._attempts.judge(Rejection("way", self._who.slot, label))
@@ -388,7 +376,7 @@ class Planner:
         off = [rim_distance(wheel, palms[side][:3, 3]) for side in "lr"]
         return off[0] < _AT_RIM_M, off[1] < _AT_RIM_M
 
-    def _goal(self, step: Step, now: _Goal, time_s: float, number: int, reach: Reach | None = None) -> _Goal | None:
+    def _goal(self, step: Step, now: Goal, time_s: float, number: int, reach: Reach | None = None) -> Goal | None:
         """A pose for a step that is possible in itself; reach: where hands go, in place of a neighbour's arm."""
         angle = now.pose.wheel_angle
         if step.steers:
@@ -411,7 +399,7 @@ class Planner:
         found = self._posed(replace(drawn, sitter=holding(drawn.sitter, kept)), angle, time_s)
         return found or (None if step.steers else self._posed(drawn, angle, time_s))
 
-    def _posed(self, drawn: Drawn, angle: float, time_s: float) -> _Goal | None:
+    def _posed(self, drawn: Drawn, angle: float, time_s: float) -> Goal | None:
         """The pose that somebody's goals lead to, if it is possible in itself."""
         (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), self._around.empty(angle).placed)
         if found.refused:
@@ -423,9 +411,9 @@ class Planner:
         if rejection is not None:
             return None
         holds, grasping = drawn.sitter.holds, {touch.side for touch in drawn.touches if touch.grasps}
-        return _Goal(pose, holds, (holds[0] or 0 in grasping, holds[1] or 1 in grasping))
+        return Goal(pose, holds, (holds[0] or 0 in grasping, holds[1] or 1 in grasping))
 
-    def _carried(self, now: _Goal, chosen: Sitter, angle: float, *, near: bool) -> tuple[Matrix | None, Matrix | None]:
+    def _carried(self, now: Goal, chosen: Sitter, angle: float, *, near: bool) -> tuple[Matrix | None, Matrix | None]:
         """Where a rim that turns to `angle` (rad) takes palms that hold it, and are to; None for a new grip.
 
         near: only those that were to be near there.
@@ -438,7 +426,7 @@ class Planner:
         for side in (0, 1):
             if now.holds[side] and chosen.holds[side]:
                 palm = rp.matmul(after, rp.matmul(invert(before), palms["lr"[side]]))
-                if not near or rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < _HELD_M:
+                if not near or rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < HELD_M:
                     result[side] = palm
         return result[0], result[1]
 
@@ -457,123 +445,7 @@ class Planner:
                 return np.asarray(0.6 * shoulder + 0.4 * elbow)
         return None
 
-    def _between(self, track: Track, now: _Goal, goal: _Goal, interior: int, time_s: float) -> Floats:
-        """(K, 63) states from one pose to another, with poses in between that the solver finds.
 
-        Hands that let go open and come off what they hold before they go anywhere; those that take hold come to it open.
-        """
-        leaving, after = self._let_go(now, goal, time_s, wary=interior > 0)
-        _, before = self._let_go(goal, now, time_s, wary=interior > 0)
-        first, last = (after or [now.via or now.pose])[-1], (before or [goal.via or goal.pose])[-1]
-        ends = track.state_of(first), track.state_of(last)
-        kept = [a and b and side not in leaving for side, (a, b) in enumerate(zip(now.holds, goal.holds, strict=True))]
-        states = [track.state_of(pose) for pose in (now.pose, *([now.via] if now.via else []), *after)]
-        sitters = self._around.sitters(self._who.slot, time_s) if interior else []
-        for share in np.linspace(0.0, 1.0, interior + 2)[1:-1].tolist():
-            straight = track.pose_of((1.0 - share) * ends[0] + share * ends[1])
-            palms = [self._on_rim(side, now, goal, straight, share) if kept[side] else None for side in (0, 1)]
-            seat = self._around.cabin.seats[self._who.slot]
-            soles = self._soles(first, last, share)
-            who = between(
-                self._who.person, seat, straight.q, straight.root, (palms[0], palms[1]), soles, (kept[0], kept[1])
-            )  # fmt: skip
-            solve([who, *sitters], self._around.empty(straight.wheel_angle).placed)
-            states.append(track.state_of(straight._replace(q=who.q, root=who.root)))
-        states += [track.state_of(pose) for pose in (*before[::-1], *([goal.via] if goal.via else []), goal.pose)]
-        return np.stack(states)
-
-    def _let_go(self, at: _Goal, other: _Goal, time_s: float, *, wary: bool) -> tuple[set[int], list[Pose]]:
-        """Which hands of a pose leave what they hold, on the way to or from another one, and the poses in which they do so.
-
-        wary: hands that are near the rim, but do not hold it, are drawn back from it too, and those in a lap are lifted.
-        """
-        wheel = self._around.cabin.steering_wheel if self._who.slot == "driver" else None
-        body, theirs = (self._who.person.pose(goal.pose.q, goal.pose.root) for goal in (at, other))
-        palms = [body.palms[side] for side in "lr"]
-        sides = {side for side in (0, 1) if at.closed[side] and not self._stays(side, at, other)}
-        by = {side: -_OFF_M * palms[side][:3, 2] for side in sides}
-        moves = [side for side, s in enumerate("lr") if rp.norm(palms[side][:3, 3] - theirs.palms[s][:3, 3]) > _MOVES_M]
-        for side in moves if wary else ():
-            low = palms[side][2, 3] - body.joints[_PELVIS, 2] < _LOW_M
-            if wheel is None and low:
-                by[side] = np.array((0.0, 0.0, _LIFTED_M))
-            elif wheel is not None and not at.closed[side] and rim_distance(wheel, palms[side][:3, 3]) < _NEAR_RIM_M:
-                by[side] = _BACK_M * wheel.vehicle_from_wheel[:3, 2]
-        for side in sides if wheel is not None else ():
-            if at.holds[side]:
-                by[side] = by[side] + _BACK_M * wheel.vehicle_from_wheel[:3, 2]  # towards the driver
-        if not by or at.via is not None:
-            return sides, []
-        opened = at.pose._replace(q=at.pose.q.copy(), fingers=_opened(at.pose, sides))
-        opened.q[[_GRIP[side] for side in sides]] = _OPEN
-        off = self._aside(at, by, time_s, opened)
-        return sides, [opened, off] if sides else [off]
-
-    def _stays(self, side: int, one: _Goal, two: _Goal) -> bool:
-        """Whether a hand holds the wheel at the same place of its rim in two poses."""
-        wheel = self._around.cabin.steering_wheel
-        if wheel is None or not (one.holds[side] and two.holds[side]):
-            return False
-        local = [self._in_wheel(side, goal.pose) for goal in (one, two)]
-        return bool(rp.norm(local[0][:3, 3] - local[1][:3, 3]) < _HELD_M)
-
-    def _in_wheel(self, side: int, pose: Pose) -> Matrix:
-        """`wheel_from_palm` (4, 4) of a pose, of the wheel as it is turned there."""
-        vehicle_from_wheel = self._around.cabin.vehicle_from_wheel(pose.wheel_angle)
-        assert vehicle_from_wheel is not None  # of who holds one
-        return rp.matmul(invert(vehicle_from_wheel), self._who.person.pose(pose.q, pose.root).palms["lr"[side]])
-
-    def _on_rim(self, side: int, now: _Goal, goal: _Goal, between: Pose, share: float) -> Matrix:
-        """Where a palm is on its way that goes along with the rim."""
-        vehicle_from_wheel = self._around.cabin.vehicle_from_wheel(between.wheel_angle)
-        assert vehicle_from_wheel is not None
-        mixed = _mixed(self._in_wheel(side, now.pose), self._in_wheel(side, goal.pose), share)
-        return rp.matmul(vehicle_from_wheel, mixed)
-
-    def _aside(self, goal: _Goal, by: Mapping[int, Floats], time_s: float, opened: Pose | None = None) -> Pose:
-        """The pose near one in which hands, by side, are `by` (3,) m from where they were.
-
-        opened: the same pose with hands that have let go and turn as they like.
-        """
-        pose, who = opened or goal.pose, self._who
-        body = who.person.pose(pose.q, pose.root)
-        palms = [body.palms[s] if goal.holds[hand] or opened is not None else None for hand, s in enumerate("lr")]
-        for side, way in by.items():
-            palms[side] = rp.matmul(transform(None, way), body.palms["lr"[side]])
-        near = between(
-            who.person, self._around.cabin.seats[who.slot], pose.q, pose.root, (palms[0], palms[1]),
-            (body.soles["l"], body.soles["r"]), (goal.holds[0] and 0 not in by, goal.holds[1] and 1 not in by),
-        )  # fmt: skip
-        if opened is not None:
-            near = turning_freely(near, by)
-        solve([near, *self._around.sitters(who.slot, time_s)], self._around.empty(pose.wheel_angle).placed)
-        return pose._replace(q=near.q, root=near.root)
-
-    def _soles(self, start: Pose, end: Pose, share: float) -> tuple[Matrix, Matrix]:
-        one, two = (self._who.person.pose(pose.q, pose.root) for pose in (start, end))
-        return _mixed(one.soles["l"], two.soles["l"], share), _mixed(one.soles["r"], two.soles["r"], share)
-
-
-def rim_distance(wheel: SteeringWheel, point: Floats) -> float:
-    """m, of a point (3,) from the axis of a wheel's rim."""
-    local = rp.matmul(wheel.vehicle_from_wheel[:3, :3].T, point - wheel.vehicle_from_wheel[:3, 3])
-    return float(rp.hypot(rp.hypot(local[0], local[1]) - wheel.rim_radius_m, local[2]))
-
-
-def _opened(pose: Pose, sides: Iterable[int]) -> Floats:
-    """(2, 6) the fingers of a pose, those of some hands wide open."""
-    fingers = np.full((2, 6), np.nan)
-    if pose.fingers is not None:
-        fingers[:, : pose.fingers.shape[1]] = pose.fingers
-    fingers[list(sides)] = *OPEN_HAND, _SPREAD
-    return fingers
-
-
-def _led(start: _Goal, end: _Goal) -> bool:
+def _led(start: Goal, end: Goal) -> bool:
     """Whether a hand stays at the rim on the way."""
     return any(a and b for a, b in zip(start.holds, end.holds, strict=True))
-
-
-def _mixed(first: Matrix, last: Matrix, share: float) -> Matrix:
-    """A rigid transform between two that are near each other."""
-    return nearest_rigid((1.0 - share) * first + share * last)

@@ -129,7 +129,7 @@ def staying(chosen: Sitter, q: Floats, root: Matrix, side: int, holds: tuple[boo
 
 
 def turning_freely(who: Sitter, hands: Iterable[int]) -> Sitter:
-    """The same person of `between` both of whose palms have a place, to which these `hands` (0 left, 1 right) turn as they like."""
+    """The same person of `between`, both of whose palms have a place: these `hands` (0 left, 1 right) turn as they like."""
     weight = who.goals.weight.copy()
     weight[list(hands), 3:] = _LOOSELY
     return who._replace(goals=who.goals._replace(weight=weight))

@@ -394,7 +394,8 @@ class _Carry(HandPlace):
 class _Belt(HandPlace):
     """At the shoulder belt, in front of the shoulder that it comes from."""
 
-    name, carried_by, grip, watched, touches = "belt", "spine01", 0.6, True, "belt"
+    name, carried_by, grip, watched = "belt", "spine01", 0.6, True
+    touches: ClassVar[Literal["", "car", "belt", "head"]] = "belt"
     aside_m: ClassVar[float] = 0.07  # from the middle of the chest, to the side from which the belt comes
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
@@ -567,6 +568,26 @@ WHEEL, THIGH, ARMREST, EITHER, SHIN, CARRY, BELT = _Wheel(), _Thigh(), _Armrest(
 EAR, MOUTH, DRINK, CHEST, BOOK, GIVE, REACH, TAKE = _Ear(), _Mouth(), _Drink(), _Chest(), _Book(), _Give(), _Reach(), _Take()
 KNOB, MIRROR, VISOR = _Knob(), _Mirror(), _Visor()
 TONGUE, BUCKLE, BESIDE, BITE = _Tongue(), _Buckle(), _Beside(), _Bite()
-_ALL = (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE, KNOB, MIRROR, VISOR, *(TONGUE, BUCKLE, BESIDE, BITE))
+_ALL = (
+    WHEEL,
+    THIGH,
+    ARMREST,
+    EITHER,
+    EAR,
+    MOUTH,
+    DRINK,
+    SHIN,
+    CHEST,
+    BOOK,
+    CARRY,
+    BELT,
+    GIVE,
+    REACH,
+    TAKE,
+    KNOB,
+    MIRROR,
+    VISOR,
+    *(TONGUE, BUCKLE, BESIDE, BITE),
+)
 # Where a hand can be, by name.
 PLACES: Mapping[str, HandPlace] = MappingProxyType({place.name: place for place in _ALL})
