@@ -459,3 +459,111 @@ def test_each_pose_and_way_is_judged_once(film) -> None:
     """What holds are the poses at first, the breath of each, and of each activity its goal and its way."""
     attempts, segments = film.attempts, sum(len(track.segments) for track in film.tracks.values())
     assert attempts.judged - attempts.rejections.total() >= 2 * len(film.tracks) + 2 * segments
+
+
+_ARMS = [i for i, dof in enumerate(DOFS) if dof.name[1:].startswith(("shoulder", "elbow", "wrist"))]
+
+
+def _edges(surface) -> np.ndarray:
+    """Middles and corners of a surface's triangles, (N, 3) m."""
+    corners = surface.vertices[surface.faces]
+    return np.concatenate((corners.reshape(-1, 3), corners.mean(axis=1)))
+
+
+def test_a_belt_hangs_follows_the_hand_and_is_worn() -> None:
+    """Until it is plugged in no belt is worn; webbing runs from the guide to the fist and from there to the lap's anchor."""
+    sequence = {"frames": 100, "rate_hz": RATE, "activities": ["buckle_up"]}
+    scene = {"cars": ["suv"], "occupancy": {"front_passenger": 1.0}, "belted": 0.5, "sequence": sequence}
+    sampler = SceneSampler(small_config(**scene), 3)
+    film = sampler.plan_sequence(0)
+    side, grasp_s, plug_s = film.tracks["front_passenger"].buckling
+    seat, setting = film.cast.cabin.seats["front_passenger"], film.cast.settings["front_passenger"]
+    anchors = seat.belt_anchors(setting)
+    assert 0.3 < grasp_s < plug_s - 0.5
+    assert plug_s < 9.8
+    frames = range(0, 100, 4)
+    for frame in frames:
+        (person,) = sampler.sample(frame, rng=np.random.default_rng(0)).people
+        time_s, belt = frame / RATE, _edges(person.surfaces[1])
+        palm = person.posed.palms["lr"[side]][:3, 3]
+        assert person.belt == ("none" if time_s < plug_s else "worn"), time_s
+        for end in (anchors.upper, anchors.outer_lap):
+            assert np.linalg.norm(belt - end, axis=1).min() < 0.01
+        to_hand, to_buckle = (np.linalg.norm(belt - place, axis=1).min() for place in (palm, anchors.buckle))
+        if grasp_s < time_s < plug_s - CLOSING_S:
+            assert to_hand < 0.02, time_s
+        if time_s < grasp_s:
+            assert to_buckle > 0.2
+        if time_s >= plug_s:
+            assert to_buckle < 0.01
+    drawn = [f / RATE for f in frames if grasp_s < f / RATE < plug_s - CLOSING_S]
+    assert len(drawn) >= 2
+
+
+def test_nobody_buckles_up_whose_belt_is_never_worn() -> None:
+    sequence = {"frames": 20, "rate_hz": RATE, "activities": ["buckle_up"]}
+    for given in ({"belted": 0.0}, {"occupants": {"front_passenger": {"belted": False}}}):
+        film = SceneSampler(small_config(occupancy={"front_passenger": 1.0}, **given, sequence=sequence), 1).plan_sequence(0)
+        assert film.tracks["front_passenger"].buckling is None
+
+
+def test_who_eats_brings_food_to_the_mouth_and_back() -> None:
+    """The upper end of what is held is at the face at a bite, and at the lap between two of them."""
+    sequence = {"frames": 70, "rate_hz": RATE, "activities": ["eat"]}
+    film = SceneSampler(small_config(occupancy={"front_passenger": 1.0}, in_hand=1.0, sequence=sequence), 1).plan_sequence(0)
+    (track,) = film.tracks.values()
+    assert "bite" in THINGS[track.hold.kind].held_at
+    away = []
+    for t in np.arange(0.0, 6.9, 0.1):
+        (person,), (thing,) = (people := film.people(t)), film.things_with(people, t)
+        top = thing.vehicle_from_thing @ (0.0, 0.0, thing.thing.box[1, 2], 1.0)
+        head = person.posed.skin[person.person.skin_segment == SEGMENTS.index("head")]
+        away.append(np.linalg.norm(head - top[:3], axis=1).min())
+    assert min(away) < 0.02
+    bites = np.flatnonzero(np.array(away) < 0.03)
+    assert max(away) > 0.15
+    assert np.diff(bites).max() > 5  # at least two, apart
+
+
+def test_hands_open_before_they_leave_the_wheel_and_close_once_they_are_there() -> None:
+    """Fingers of a hand that leaves the rim are open before the arm moves, and no way swings beyond its poses."""
+    states = np.zeros((3, WIDTH))
+    states[1:, 0], states[2, 1] = 0.2, 1.0
+    way = way_through(states)
+    between = np.asarray(way(np.linspace(0.0, 1.0, 400)))
+    assert between[:, :2].min() >= -1e-12
+    assert between[:, 0].max() <= 0.2 + 1e-12
+    assert np.abs(between[np.linspace(0.0, 1.0, 400) > way.x[1], 0] - 0.2).max() < 1e-9
+    film = _sampler(activities=["look_over_shoulder"])._films.film(0)
+    driver, left = film.tracks["driver"], 0
+    for segment in driver.segments:
+        knots = segment.way(segment.way.x)
+        fingers = knots[:, -12:].reshape(-1, 2, 6)
+        for side in (0, 1):
+            if (
+                len(knots) > 2
+                and np.allclose(fingers[1, side, :5], OPEN_HAND)
+                and not np.allclose(fingers[0, side, :5], OPEN_HAND)
+            ):
+                np.testing.assert_allclose(knots[1, _ARMS], knots[0, _ARMS], atol=1e-9)  # it has not moved yet
+                left += 1
+    assert left
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("car", ["city_car", "suv", "van", "coupe"])
+def test_each_activity_gives_a_sequence(car: str) -> None:
+    """Nothing that is asked for ends a run; who cannot do it does something else, by its name."""
+    for activity in ("buckle_up", "eat", "drink", "phone_call", "reach_down", "turn_to_back_seat", "read", "sleep"):
+        sequence = {"frames": 40, "rate_hz": RATE, "activities": [activity]}
+        film = SceneSampler(small_config(cars=[car], occupancy=TWO, in_hand=1.0, sequence=sequence), 5).plan_sequence(0)
+        assert set(film.tracks) == set(TWO)
+        for tick in range(0, CHECKS_PER_FRAME * 39, 5):
+            assert (verdict := _free(film, tick / (CHECKS_PER_FRAME * RATE))).ok, (activity, verdict)
+
+
+def test_an_activity_for_which_no_seat_is_there_is_an_error(tmp_path: Path) -> None:
+    config = small_config(occupancy={"rear_left": 1.0}, sequence={"frames": 4, "rate_hz": RATE, "activities": ["steer"]})
+    with pytest.raises(ConfigError, match="steer makes no sense for anybody") as caught:
+        generate(config, 4, tmp_path / "none", seed=1)
+    assert "look_around" in caught.value.hint

@@ -19,6 +19,7 @@ from cabinpose.scene.contact import ContactField
 from cabinpose.synth.cabins import car_dimensions, open_cabin
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
+from cabinpose.synth.motion.activities import ACTIVITIES, activities_for
 from cabinpose.synth.people import People
 from cabinpose.synth.pictures.path_tracing import mitsuba
 from cabinpose.synth.place import PlaceReport, judge_place
@@ -81,6 +82,7 @@ def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> tuple[Pl
     for car in _cars_in_doubt(config, scene, plan, side):
         _check_seats(scene, car)
         _check_actions(scene, car)
+        _check_activities(scene, car)
         _check_views(config, car)
         reports += _judged_views(config, car)
     if not reports and not isinstance(config.camera.sensor, str) and scene.cars:
@@ -168,7 +170,11 @@ def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
     always = scene.always_taken
     taken = bool(always) or any(scene.occupancy.get(slot, 0.0) > 0 for slot in SEATS_OF_ALL)
     ours = all(name in VIEWS_OF_ALL and isinstance(config.camera.views[name], float) for name in config.camera.weights)
-    acting = scene.motion or any(occupant.action for occupant in scene.occupants.values())
+    acting = (
+        scene.motion
+        or (scene.sequence is not None and scene.sequence.activities)
+        or any(occupant.action for occupant in scene.occupants.values())
+    )
     return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
 
 
@@ -213,6 +219,20 @@ def _check_actions(scene: CabinScene, car: _Car) -> None:
             if wrong:
                 known = ", ".join(actions_for(seat, car.cabin))
                 raise ConfigError(f"{car.name}: {', '.join(wrong)} makes no sense in the {slot} seat", hint=f"there: {known}")
+
+
+def _check_activities(scene: CabinScene, car: _Car) -> None:
+    """Refuses activities of sequences none of which makes sense in any seat that is ever taken; one that does is enough."""
+    asked = scene.sequence.activities if scene.sequence is not None else None
+    if not asked:
+        return
+    taken = [slot for slot in car.sure if slot in scene.always_taken or scene.occupancy.get(slot, 0.0) > 0]
+    able = {name for s in taken for name in activities_for(car.cabin.seats[s], car.cabin, None, taken, asked_for=asked)}
+    if taken and not able & set(asked):
+        raise ConfigError(
+            f"{car.name}: {', '.join(asked)} makes no sense for anybody; the seats that are taken: {', '.join(taken)}",
+            hint=f"there: {', '.join(name for name in ACTIVITIES if name in able)}",
+        )
 
 
 def _check_views(config: SynthConfig, car: _Car) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import CABINPOSE, OCCUPANT_SLOTS, Floats, apply, invert
 from cabinpose.scene import Surface, merge
 from cabinpose.scene.body import PosedBody
-from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, Wearer, fastening_surface, loose_straps
+from cabinpose.scene.cabin import BeltWear, Cabin, SeatSetting, Wearer, fastening_surface, loose_belt, loose_straps
 from cabinpose.scene.things import THINGS, Attachment, BeltPath, ChildSeat, PlacedThing, Sitting, make_thing
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
@@ -104,10 +104,15 @@ def dressed(scene: CabinScene, cast: Cast, person: ScenePerson, *, rng: np.rando
         if how == "none":  # an infant lies on the straps
             return replace(person, surfaces=(clothed, *(() if on.thing.lying else (_undone(on, slots, width),))))
         return replace(person, surfaces=(clothed, wearer.harness(slots, hips, width_m=width)), belt="harness")
+    tongue, setting = person.tongue, cast.settings[person.slot]
+    if tongue is not None and tongue.how == "loose":
+        return replace(person, surfaces=(clothed, loose_belt(seat, setting, cast.cabin, tongue.at)), belt="none")
+    if tongue is not None and tongue.how == "drawn":
+        return replace(person, surfaces=(clothed, wearer.belt_in_hand(seat, setting, cast.cabin, tongue.at)), belt="none")
+    how = "worn" if tongue is not None and how == "none" else how
     if seat.belt is None or how == "none" or person.slot in cast.doing:
         return replace(person, surfaces=(clothed,))
     guide, lap = (None, None) if on is None else (belt_guide(on, person.posed, seat.belt.upper), lap_guides(on))
-    setting = cast.settings[person.slot]
     belt = wearer.belt(seat, setting, cast.cabin, worn=how, guide=guide, lap_guides=lap)
     return replace(person, surfaces=(clothed, belt), belt=how)
 

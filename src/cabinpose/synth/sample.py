@@ -16,7 +16,7 @@ from cabinpose.core import ConfigError, Floats
 from cabinpose.synth.car_scenes import CarScenes
 from cabinpose.synth.cars import is_car_file
 from cabinpose.synth.config import RoomScene, SynthConfig
-from cabinpose.synth.motion.film import Films
+from cabinpose.synth.motion.film import Film, Films
 from cabinpose.synth.plan import Plan
 from cabinpose.synth.room_scenes import RoomScenes
 from cabinpose.synth.scene import Attempts, ImpossibleSceneError, Scene
@@ -49,10 +49,10 @@ class SceneSampler:
                 return replace(found, proposals=attempts.proposals, judged=attempts.judged, rejections=attempts.rejections)
         raise ImpossibleSceneError(index, attempts, next(filter(is_car_file, self._plan.cabins.names), ""))
 
-    def plan_sequence(self, number: int) -> None:
-        """Plan a sequence before its first frame is asked for."""
+    def plan_sequence(self, number: int) -> Film:
+        """Plan a sequence before its first frame is asked for, once. Raises SceneError where nobody has a free way."""
         assert self._films is not None
-        self._films.film(number)
+        return self._films.film(number)
 
     def exposed(self, index: int, scene: Scene, times_s: Floats) -> Sequence[Scene]:
         """The scene of frame `index` of a sequence at some times (S,) s before and after its own: see `Films.exposed`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from cabinpose.core import OCCUPANT_SLOTS, Floats, Matrix, SceneError
 from cabinpose.scene import Surface, merge
@@ -15,12 +15,23 @@ from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.validate import Rejection, most_common, sits_too_deep
 
 
+class Tongue(NamedTuple):
+    """The tongue of the belt of somebody who buckles up: where it is, (3,) m, vehicle frame, and how.
+
+    how: beside the seat or on its way to the hand ("loose"), in the hand ("drawn"), in the buckle ("plugged").
+    """
+
+    at: Floats
+    how: Literal["loose", "drawn", "plugged"]
+
+
 @dataclass(frozen=True)
 class ScenePerson:
     """Somebody in a scene: which slot, who, doing what, the posed body, and what is seen of it (its seat belt included).
 
     belt: how it is worn, "harness" in a child seat that has one · coming_head: (3, 3) the rotation that a moving head is about to
-    have, which the eyes have reached; None where it stays · face: what it does.
+    have, which the eyes have reached; None where it stays · face: what it does · tongue: the belt's, of who buckles up in the
+    sequence, until then nobody wears it.
     """
 
     slot: str
@@ -32,6 +43,7 @@ class ScenePerson:
     belt: BeltWear | Literal["none", "harness"] = "none"
     coming_head: Floats | None = None
     face: Face = field(default_factory=Face)
+    tongue: Tongue | None = None
 
     @property
     def child(self) -> bool:
@@ -89,22 +101,34 @@ class Scene:
         return 0 if thing.at == "seat" else 1 + OCCUPANT_SLOTS.index(thing.slot)
 
 
+class Tried(NamedTuple):
+    """An activity of a sequence that somebody tried: the seat's slot, and what was against it first; "" where it was done."""
+
+    slot: str
+    activity: str
+    against: str = ""
+
+
 @dataclass
 class Attempts:
     """What was tried to find a scene. scenes: those drawn, in words · proposals: poses, and activities of sequences ·
-    judged: poses, and ways of sequences, of which it was said whether they hold · rejections: those that do not, and why.
+    judged: poses, and ways of sequences, of which it was said whether they hold · rejections: those that do not, and why ·
+    tried: activities of sequences, and how they ended.
     """
 
     scenes: list[str] = field(default_factory=list)
     proposals: int = 0
     judged: int = 0
     rejections: Counter[Rejection] = field(default_factory=Counter)
+    tried: Counter[Tried] = field(default_factory=Counter)
+    last_refused: Rejection | None = None
 
     def judge(self, refused: Rejection | None) -> None:
         """Count a pose or way that was judged, and what is against it; None: it holds."""
         self.judged += 1
         if refused is not None:
             self.rejections[refused] += 1
+            self.last_refused = refused
 
 
 class ImpossibleSceneError(SceneError):

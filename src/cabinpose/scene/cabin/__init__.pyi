@@ -4,7 +4,9 @@ from .belt import BeltWear as BeltWear
 from .belt import Wearer as Wearer
 from .belt import belt_surface as belt_surface
 from .belt import fastening_surface as fastening_surface
+from .belt import hanging_tongue as hanging_tongue
 from .belt import harness_surface as harness_surface
+from .belt import loose_belt as loose_belt
 from .belt import loose_straps as loose_straps
 from .build import SEATS_OF_ALL as SEATS_OF_ALL
 from .build import build_cabin as build_cabin

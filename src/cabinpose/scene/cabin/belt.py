@@ -34,6 +34,8 @@ _CREASE = (0.14, 0.03)  # along the thighs from the hips, and above their bones 
 _BUCKLE, _TONGUES = np.array((1.25, 1.6, 0.55)), np.array(((0.32, 0.55, 0.05), (-0.32, 0.55, 0.05)))
 _UNDER = (0.2, 0.12)  # along the legs and down (m of an adult): from the buckle to where the strap between them leaves the cushion
 _BESIDE_M, _OVER_RIM_M, _HANGS_M = 0.02, 0.006, (0.035, 0.14)  # of a loose strap: its rim, and how it hangs there, out and down
+# Of the tongue of a belt that hangs: how far down to the lap's anchor it is, off that line to the door and to the back (assumed).
+_DOWN, _TO_DOOR_M, _TO_BACK_M = 0.42, 0.04, 0.06
 STEPS = 40  # cross-sections of a ribbon
 
 # Bones of the trunk, by which the flesh about the shoulders is told from the rest of it: ends, the piece of the bone (0 first end
@@ -125,6 +127,21 @@ class Wearer(NamedTuple):
         courses.append(_Course(outer, front_of_pelvis, buckle, ahead + up, lap=True))
         return merge([_ribbon(body, course, gap_m) for course in courses])
 
+    def belt_in_hand(self, seat: Seat, setting: SeatSetting, cabin: Cabin, tongue: Vector, *, gap_m: float = 0.004) -> Surface:
+        """The belt of a seat while a hand draws it across: from its guide to the tongue, and from there to the lap's anchor.
+
+        tongue: (3,) m, vehicle frame. Raises what `belt` does.
+        """
+        anchors, body = _anchors(seat, setting, cabin), _Trunk.of(self)
+        front = 0.4 * body.ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
+        collar = body.collar(body.shoulder_at(anchors.upper))
+        lap = 0.5 * (anchors.outer_lap + tongue) + body.size * (0.10 * body.ahead + 0.05 * body.up)
+        courses = (
+            _Course(anchors.upper, _kept_in_front(anchors.upper, collar, tongue, front), tongue, front),
+            _Course(anchors.outer_lap, lap, tongue, body.ahead + body.up, lap=True),
+        )
+        return merge([_ribbon(body, course, gap_m) for course in courses])
+
     def harness(self, slots: Floats, hips: Floats, *, gap_m: float = 0.004, width_m: float = WEBBING_WIDTH) -> Surface:
         """The five-point harness of a child seat over the child in it, buckled up, vehicle frame, class seat_belt, instance 0.
 
@@ -186,6 +203,23 @@ def _flat(path: Floats, aside: Vector, width_m: float) -> Solid:
     off = WEBBING_THICKNESS / width_m * np.cross(tangents, across)
     inner, outer = (np.stack((path - across, path, path + across), axis=1) + sign * off[:, None] for sign in (-1.0, 1.0))
     return slab(inner, outer).outward()
+
+
+def hanging_tongue(seat: Seat, setting: SeatSetting, cabin: Cabin) -> Vector:
+    """(3,) m, vehicle frame: where the tongue of a belt hangs that nobody wears, beside the backrest."""
+    anchors = _anchors(seat, setting, cabin)
+    forward, outwards = seat.vehicle_from_seat(setting)[:3, 0], anchors.outer_lap - anchors.buckle
+    straight = anchors.upper + _DOWN * (anchors.outer_lap - anchors.upper)
+    return np.asarray(straight + _TO_DOOR_M * outwards / rp.norm(outwards) - _TO_BACK_M * forward)
+
+
+def loose_belt(seat: Seat, setting: SeatSetting, cabin: Cabin, tongue: Vector) -> Surface:
+    """A belt that nobody wears: straight from its guide to the tongue (3,) m, vehicle frame, and to the lap's anchor."""
+    anchors, forward = _anchors(seat, setting, cabin), seat.vehicle_from_seat(setting)[:3, 0]
+    nothing = Surface(*np.zeros((2, 0, 3), np.float32), np.zeros((0, 3), np.int32), *np.zeros((3, 0), np.uint8))
+    body = _Trunk.without_bones(nothing, -forward, forward)
+    courses = [_Course(a, a + forward, b, None) for a, b in ((anchors.upper, tongue), (anchors.outer_lap, tongue))]
+    return merge([_ribbon(body, course, 0.004) for course in courses])
 
 
 class _Trunk(NamedTuple):

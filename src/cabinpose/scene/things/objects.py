@@ -130,6 +130,23 @@ def _phone(variant: int) -> tuple[Piece, ...]:
     return (Piece("body", body, "metal"), Piece("screen", screen, "hard_plastic"))
 
 
+def _sandwich(variant: int) -> tuple[Piece, ...]:
+    """A filled roll in paper, of which the upper end stands out; it reflects as cardboard does (assumed)."""
+    radius, high = of_design(0.026, 0.032, variant, 1), of_design(0.15, 0.20, variant, 2)
+    roll = [(0.4 * radius, 0.3 * high), (0.94 * radius, 0.32 * high), (0.96 * radius, 0.85 * high), (0.75 * radius, 0.96 * high),
+            (0.3 * radius, high)]  # fmt: skip
+    wrap = [(0.5 * radius, 0.0), (0.92 * radius, 0.006), (radius, 0.03), (1.02 * radius, 0.62 * high)]
+    return (Piece("roll", turned_body(roll), "cardboard", CLOTH_M), Piece("wrap", turned_body(wrap), "paper", CLOTH_M))
+
+
+def _apple(variant: int) -> tuple[Piece, ...]:
+    """An apple; it reflects as wood does (assumed)."""
+    radius = of_design(0.034, 0.041, variant, 1)
+    angles = np.radians((-80.0, -55.0, -25.0, 5.0, 35.0, 60.0, 80.0))
+    outline = [(radius * float(rp.cos(a)), radius * (1.0 + 0.92 * float(rp.sin(a)))) for a in angles]
+    return (Piece("flesh", turned_body(outline), "wood"),)
+
+
 @dataclass(frozen=True)
 class Cloth(Kind):
     """What is draped over a seat or a lap once everybody sits, and is made where it lies.
@@ -155,6 +172,8 @@ OBJECTS: Mapping[str, Kind] = MappingProxyType(
         "book": Kind("book", _book, "stands", on_lap=True),
         "laptop": Kind("laptop", _laptop, "stands", on_lap=True),
         "phone": Kind("phone", _phone, "stands", held_at=("ear", "chest")),
+        "sandwich": Kind("food", _sandwich, held_at=("bite",)),
+        "apple": Kind("food", _apple, held_at=("bite",)),
         "open_book": Kind("book", _open_book, held_at=("book",)),  # a book that is read
         "blanket": Cloth("blanket"),
         "jacket": Cloth("jacket", half_m=(0.17, 0.22), thick_m=(0.016, 0.016), material="synthetic_fabric", sleeves=True),

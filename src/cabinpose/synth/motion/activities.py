@@ -12,7 +12,7 @@ from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.actions import ACTIONS, IN_CHILD_SEAT, OWN_ACTIONS, inboard_side, suits
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.neighbours import beside_each_other
-from cabinpose.synth.posture.places import BOOK, CHEST, DRINK, GIVE, HandPlace
+from cabinpose.synth.posture.places import BITE, BOOK, CHEST, DRINK, GIVE, HandPlace
 
 
 class Step(NamedTuple):
@@ -36,6 +36,7 @@ class Program(NamedTuple):
     things: tuple[str, ...] = ()
 
 
+BUCKLE_UP = "buckle_up"  # before which no belt is worn
 # What takes more than one action, or needs something in a hand; every other action is an activity of one step.
 _PROGRAMS: Mapping[str, Program] = MappingProxyType(
     {
@@ -44,17 +45,20 @@ _PROGRAMS: Mapping[str, Program] = MappingProxyType(
         "operate": Program((Step("reach_infotainment", 0.6), Step("drive", 0.3))),
         "phone_call": Program((Step("phone_text", 0.8), Step("phone_ear_outer", 1.5), Step("phone_text", 0.4)), CHEST),
         "drink": Program((Step("drink", 1.0), Step("rest_lap", 0.3)), DRINK),
-        "eat": Program((Step("at_mouth", 0.4), Step("phone_text", 0.5), Step("at_mouth", 0.4), Step("phone_text", 0.5))),
+        "eat": Program((Step("bite", 0.6), Step("rest_lap", 1.0), Step("bite", 0.6), Step("rest_lap", 0.6)), BITE),
         "read": Program((Step("read", 3.0),), BOOK),
         "look_over_shoulder": Program((Step("look_back", 0.5), Step("rest_lap", 0.3))),
         "turn_to_back_seat": Program((Step("turn_back", 1.5), Step("rest_lap", 0.3))),
         "hand_over": Program((Step("hand_over", 0.3), Step("rest_lap", 0.3)), GIVE),
         "hit": Program((Step("hit", 0.1, haste=3.0, at_neighbour=True), Step("rest_lap", 0.4))),
-        "buckle_up": Program((Step("belt", 0.3), Step("rest_lap", 0.3))),
+        BUCKLE_UP: Program((Step("take_tongue", 0.3), Step("plug_tongue", 0.5), Step("rest_lap", 0.3))),
         "reach_down": Program((Step("reach_floor", 0.5), Step("rest_lap", 0.3))),
         "sleep": Program((Step("sleep", 5.0),)),
     }
 )
+# Before somebody who drives there is no room to bend forward.
+_OF_DRIVERS = MappingProxyType({"reach_floor": "reach_beside"})
+_BARE = MappingProxyType({"bite": "at_mouth"})  # with nothing in the hand
 _SINGLE_HOLD_S = 0.8
 RECORDED = "mocap"  # what people do whom a recording moves: the kind of their profile
 RECEIVE = "receive"  # what the other one does in `hand_over`
@@ -83,11 +87,13 @@ def resting(seat: Seat, cabin: Cabin, hold: Hold | None = None) -> str:
 
 
 def steps_of(activity: str, seat: Seat, cabin: Cabin, hold: Hold | None = None) -> tuple[Step, ...]:
-    """The steps of an activity; who drives goes back to the wheel."""
+    """The steps of an activity; who drives goes back to the wheel, and reaches down beside the seat."""
     steps = program_of(activity).steps
     if len(steps) == 1:
         return steps
-    return tuple(step._replace(action=resting(seat, cabin, hold)) if step.action == "rest_lap" else step for step in steps)
+    drives = seat.slot == "driver" and cabin.steering_wheel is not None
+    instead = {**(_OF_DRIVERS if drives else {}), **(_BARE if hold is None else {}), "rest_lap": resting(seat, cabin, hold)}
+    return tuple(step._replace(action=instead.get(step.action, step.action)) for step in steps)
 
 
 def inboard_neighbour(seat: Seat, cabin: Cabin, taken: Iterable[str]) -> str | None:

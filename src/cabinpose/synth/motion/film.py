@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.core import Floats, SceneError
+from cabinpose.scene.cabin import hanging_tongue
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.car_scenes import CarScenes
 from cabinpose.synth.casting import Cast
@@ -49,8 +50,16 @@ class Film(NamedTuple):
             person, coming = self.cast.people[slot], track.at(time_s + EYES_LEAD_S)
             somebody = self.cast.person(slot, track.activity(time_s), track.body(person, track.at(time_s), time_s))
             head = frames(coming.q, person.rest, coming.root).bone("head")[:3, :3]
-            result.append(replace(somebody, coming_head=head))
+            tongue = track.tongue(somebody.posed, time_s, self._tongue_ends(slot)) if track.buckling else None
+            result.append(replace(somebody, coming_head=head, tongue=tongue))
         return result
+
+    def _tongue_ends(self, slot: str) -> tuple[Floats, Floats]:
+        """(3,) m each: where the tongue of a seat's belt hangs, and its buckle."""
+        seat, setting = self.cast.cabin.seats[slot], self.cast.settings[slot]
+        anchors = seat.belt_anchors(setting)
+        assert anchors is not None  # of who buckles up
+        return hanging_tongue(seat, setting, self.cast.cabin), anchors.buckle
 
     def things_with(self, people: Iterable[ScenePerson], time_s: float) -> tuple[PlacedThing, ...]:
         """What stands on the seats, and what these people hold at a time."""

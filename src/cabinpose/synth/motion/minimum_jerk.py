@@ -28,13 +28,13 @@ _FASTEST_DEG = MappingProxyType(
         "wrist": 1950.0, "hip": 440.0, "knee": 440.0, "ankle": 440.0,
     }
 )  # fmt: skip
-_FASTEST_GRIP = 10.0  # from open to fist and back, 1/s
+FASTEST_GRIP = 10.0  # from open to fist and back, 1/s
 
 
 def _fastest(name: str) -> float:
     joint = name.split(".")[0]
     if joint.endswith("hand"):
-        return _FASTEST_GRIP
+        return FASTEST_GRIP
     return float(np.radians(_FASTEST_DEG.get(joint) or _FASTEST_DEG[joint[1:]]))
 
 

@@ -7,45 +7,46 @@ the way.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from cabinpose.core import CABINPOSE, Floats, Matrix, axis_rotation, invert, nearest_rigid, transform
+from cabinpose.core import CABINPOSE, Floats, Matrix, invert
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import DOF_INDEX, Person
-from cabinpose.scene.cabin import Cabin, SeatSetting
+from cabinpose.scene.body import Person
+from cabinpose.scene.cabin import Cabin, SeatSetting, hanging_tongue
 from cabinpose.scene.things import PlacedThing
-from cabinpose.synth.motion.activities import RECEIVE, Step, inboard_neighbour, resting, steps_of
+from cabinpose.synth.motion.activities import BUCKLE_UP, RECEIVE, Step, inboard_neighbour, resting, steps_of
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taken_over, taking_palm
-from cabinpose.synth.motion.track import CLOSING_S, Held, Pose, Segment, Track, duration, way_through
+from cabinpose.synth.motion.track import CLOSING_S, Buckling, Held, Pose, Segment, Track, duration, way_through
+from cabinpose.synth.motion.ways import HELD_M, Goal, Ways, rim_distance
 from cabinpose.synth.posture.actions import inboard_side
-from cabinpose.synth.posture.goals import between, given, holding, staying
+from cabinpose.synth.posture.goals import given, holding, staying
 from cabinpose.synth.posture.grasps import Hold
 from cabinpose.synth.posture.places import Reach
 from cabinpose.synth.posture.sampling import Drawn, settled
-from cabinpose.synth.posture.solver import Sitter, solve
-from cabinpose.synth.scene import Attempts
+from cabinpose.synth.posture.solver import Sitter
+from cabinpose.synth.scene import Attempts, Tried
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.validate import Rejection, Seated, Validator, Verdict
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import PPoly
 
 CHECKS_PER_FRAME = 3
-_INTERIOR = (0, 3, 7)  # poses between the ends of a way that are tried, one number after the other
-_TRIES = 6  # activities tried at one moment
+_INTERIOR = (0, 1, 3, 7)  # poses between the ends of a way that are tried, one number after the other
+_LED = 3  # of them at least, where a hand stays at the rim
+_TRIES, _OTHERS = 6, 2  # activities tried at one moment, and then of those that nobody asked for
 _FIRST_S = (0.1, 0.8)  # when the first activity begins
 _PAUSE_S = 0.7  # until the next try
-_HELD_M = 0.03  # a palm that is nearer than this to where it was on the rim has not let go
 _AT_RIM_M = 0.04  # of a palm's origin from the rim's axis
-_OFF_M, _OPEN = 0.05, 0.05  # of a hand that has just let go: along the palm's normal, and its grip
-_GRIP = tuple(DOF_INDEX[side + "hand.grip"] for side in "lr")
 _FLESH_M = 0.6  # of two people's skins from their joints, at the most
 _BREATHS = 8  # poses of a still person that are tried
 _ROUNDABOUT, _ROUND_HAND = 1.8, 2.7  # of a way's duration against the straight one's; to another one's hand, or from there
+_STOP_S = 0.45  # for each pose in which hands let go or draw back
+_PLUGGED, _PLUGS_S = 2, 0.1  # steps until a belt's tongue is at its buckle; until it is in there
 _SETTLE = 0.5  # of what a hold may be shorter or longer
 _IDLE_SHARES = (1.0, 0.4, 0.0)
 _TEMPO = (0.25, 0.6, 1.6)  # sigma of its logarithm, and what it is cut at
@@ -59,19 +60,21 @@ _WHEEL_SIGMA, WHEEL_LIMIT = np.radians(11.0), np.radians(28.0)
 DrawGoal = Callable[[str, float, Hold | None, int, float, Reach | None], Drawn]
 
 
+class Activities(Protocol):
+    """The activities of somebody by their weights, with what is held: those that are asked for, or anything."""
+
+    def __call__(self, hold: Hold | None, *, anything: bool) -> Mapping[str, float]:
+        """By name."""
+        ...
+
+
 class Somebody(NamedTuple):
     """Who moves: the seat's slot, the person, and the activities to choose from by their weights, with what is held."""
 
     slot: str
     person: Person
     draw: DrawGoal
-    activities: Callable[[Hold | None], Mapping[str, float]]
-
-
-class _Goal(NamedTuple):
-    pose: Pose
-    holds: tuple[bool, bool]  # the wheel
-    via: Pose | None = None  # from which a hand comes to a thing in another hand, and to which it leaves it
+    activities: Activities
 
 
 class Surroundings:
@@ -145,11 +148,12 @@ class Planner:
         self, who: Somebody, around: Surroundings, attempts: Attempts, *, lasts_s: float, rng: np.random.Generator
     ) -> None:
         self._who, self._around, self._attempts, self._rng, self._lasts_s = who, around, attempts, rng, lasts_s
+        self._ways = Ways(who.slot, who.person, around)
         sigma, low, high = _TEMPO
         self._tempo = float(np.clip(rp.exp(sigma * rng.standard_normal()), low, high))
         self.tried = 0
         self.time_s = 0.0
-        self._now: _Goal | None = None
+        self._now: Goal | None = None
         self._habit = 0
 
     @property
@@ -169,25 +173,34 @@ class Planner:
         return False
 
     def advance(self) -> bool:
-        """Wait for a moment at first, then do one more activity; False where not even waiting is free, or nothing else was."""
+        """Wait for a moment at first, then do one more activity, or rest where none is free; False where not even that is."""
         if self._now is None:
             start = self._track.pose_of(self._track.last)
-            self._now = _Goal(start, self._holds_at(start))
+            self._now = Goal(start, (holds := self._holds_at(start)), holds)
             self.time_s = float(self._rng.uniform(*_FIRST_S)) * min(1.0, self._lasts_s)
             return self._refused(0.0, min(self.time_s, self._lasts_s)) is None
-        choices = self._who.activities(self._track.hold)
-        for number in range(self._habit, self._habit + _TRIES):
-            found = self._do(weighted(choices, rng=self._rng), self._now, self.time_s, number)
+        for number in range(self._habit, self._habit + _TRIES + _OTHERS):
+            choices = self._choices(anything=number - self._habit >= _TRIES)
+            activity = weighted(choices, rng=self._rng)
+            found = self._do(activity, self._now, self.time_s, number)
+            against = "" if found else str(self._attempts.last_refused)
+            self._attempts.tried[Tried(self._who.slot, activity, against)] += 1
             if found is not None:
                 (self._now, self.time_s), self._habit = found, number
-                break
-        else:
-            if self._refused(self.time_s, min(self.time_s + _PAUSE_S, self._lasts_s)) is not None:
-                return False
-            self.time_s += _PAUSE_S
-        return self.time_s < self._lasts_s or bool(self._track.segments)
+                return True
+        if self._refused(self.time_s, min(self.time_s + _PAUSE_S, self._lasts_s)) is not None:
+            return False
+        self.time_s += _PAUSE_S
+        return True
 
-    def _do(self, activity: str, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
+    def _choices(self, *, anything: bool) -> Mapping[str, float]:
+        """What may be done now; anything: whatever makes sense, where nothing that is asked for had a free way."""
+        choices = self._who.activities(self._track.hold, anything=anything)
+        if self._track.buckling or any(s.activity == "belt" for s in self._track.segments):  # the belt is worn by then
+            choices = {name: weight for name, weight in choices.items() if name != BUCKLE_UP}
+        return choices or {self._rest(self._track.hold).action: 1.0}
+
+    def _do(self, activity: str, now: Goal, time_s: float, number: int) -> tuple[Goal, float] | None:
         """Appends an activity's segments; where it ends, or None where not even its first step is possible.
 
         What is broken off goes by the names of its steps.
@@ -200,15 +213,30 @@ class Planner:
         steps = steps_of(activity, cabin.seats[self._who.slot], cabin, self._track.hold)
         for step in steps:
             found = self._step(activity, step, now, time_s, number)
+            if found is None and activity == BUCKLE_UP and len(segments) < first + _PLUGGED:
+                del segments[first:]  # a tongue that is not plugged in would be let go
+                return None
             if found is None:
                 segments[first:] = [s._replace(activity=step.action) for s, step in zip(segments[first:], steps, strict=False)]
                 break
             done = now, time_s = found
             if time_s >= self._lasts_s:
                 break
+        if activity == BUCKLE_UP:
+            self._track.buckling = self._buckled(segments[first:])
         return done
 
-    def _step(self, activity: str, step: Step, now: _Goal, time_s: float, number: int) -> tuple[_Goal, float] | None:
+    def _buckled(self, steps: Sequence[Segment]) -> Buckling:
+        """When a belt's tongue is taken and plugged in by these steps, and by which hand; a sequence may end before that."""
+        slot, around, taken = self._who.slot, self._around, steps[0]
+        hangs = hanging_tongue(around.cabin.seats[slot], around.settings[slot], around.cabin)
+        pose = self._track.pose_of(taken.last)
+        palms = self._who.person.pose(pose.q, pose.root).palms
+        off = [rp.norm(palms[side][:3, 3] - hangs) for side in "lr"]
+        plug_s = steps[1].start_s + steps[1].lasts_s + _PLUGS_S if len(steps) >= _PLUGGED else np.inf
+        return Buckling(int(off[1] < off[0]), taken.start_s + taken.lasts_s, plug_s)
+
+    def _step(self, activity: str, step: Step, now: Goal, time_s: float, number: int) -> tuple[Goal, float] | None:
         track, tempo = self._track, step.haste * self._tempo
         hold_s = step.hold_s * float(self._rng.uniform(1.0 - _SETTLE, 1.0 + _SETTLE))
         goal = self._goal(step, now, time_s, number)
@@ -216,7 +244,7 @@ class Planner:
             return None
         reason: Rejection | None = None
         for interior in _INTERIOR:
-            if interior == 0 and _led(now, goal):
+            if interior < _LED and _led(now, goal):
                 continue
             found = self._way(now, goal, interior, time_s, tempo)
             if found is None:
@@ -233,16 +261,18 @@ class Planner:
             self._attempts.judge(reason)
         return None
 
-    def _way(self, now: _Goal, goal: _Goal, interior: int, time_s: float, tempo: float) -> tuple[CubicSpline, float] | None:
+    def _way(self, now: Goal, goal: Goal, interior: int, time_s: float, tempo: float) -> tuple[PPoly, float] | None:
         """A way through so many poses between two, and how long it takes, s; None for one that is too far round."""
         ends = self._track.last, self._track.state_of(goal.pose)
-        way = way_through(self._between(self._track, now, goal, interior, time_s))
+        way = way_through(self._ways.between(self._track, now, goal, interior, time_s))
         lasts_s = duration(way, tempo)
         passes = self._track.hold is not None and self._track.hold.place.passes_on
         limit = _ROUND_HAND if passes or now.via is not None or goal.via is not None else _ROUNDABOUT
-        return (way, lasts_s) if lasts_s <= limit * duration(way_through(np.stack(ends)), tempo) + 0.3 else None
+        stops = len(way.x) - 2 - interior
+        longest_s = limit * duration(way_through(np.stack(ends)), tempo) + 0.3 + _STOP_S * stops / tempo
+        return (way, lasts_s) if lasts_s <= longest_s else None
 
-    def _hand_over(self, now: _Goal, time_s: float) -> tuple[_Goal, float] | None:
+    def _hand_over(self, now: Goal, time_s: float) -> tuple[Goal, float] | None:
         """Holds out what is held; the neighbour's hand comes, takes it and draws it away; then the empty hand goes back."""
         seats, held = self._around.cabin.seats, self._track.hold
         slot = inboard_neighbour(seats[self._who.slot], self._around.cabin, self._around.people) or ""
@@ -263,8 +293,8 @@ class Planner:
         return None
 
     def _meet(
-        self, other: Planner, held: Hold, now: tuple[_Goal, _Goal], interior: int
-    ) -> tuple[tuple[_Goal, float], tuple[_Goal, float]] | None:
+        self, other: Planner, held: Hold, now: tuple[Goal, Goal], interior: int
+    ) -> tuple[tuple[Goal, float], tuple[Goal, float]] | None:
         """See `_hand_over`: where both end. What it has planned until it fails stays."""
         people, at_s = (self._who.person, other._who.person), other.time_s
         seat, (side, free) = self._around.cabin.seats[self._who.slot], (held.side, 1 - held.side)
@@ -283,7 +313,7 @@ class Planner:
         other._track.holds.append(Held(mine, ready_s + CLOSING_S, ready_s + CLOSING_S))
         takes = other._goal(Step(RECEIVE), now[1], ready_s, other._habit, Reach(palm[:3, 3], free, palm))
         if takes is not None:
-            takes = takes._replace(via=other._aside(takes, free, ready_s, -_ASIDE_M * palm[:3, 2]))
+            takes = takes._replace(via=other._ways.aside(takes, {free: -_ASIDE_M * palm[:3, 2]}, ready_s))
         back = takes and other._brought(takes, now[1], interior, ready_s, RECEIVE)
         self._track.segments.pop()
         other._track.holds.pop()
@@ -301,7 +331,7 @@ class Planner:
         if refused is not None:
             return None
         # It is drawn out of the open hand, which goes back afterwards as it came.
-        takes = takes._replace(via=other._aside(takes, free, until_s, _ASIDE_M * out[:3, 2]))
+        takes = takes._replace(via=other._ways.aside(takes, {free: _ASIDE_M * out[:3, 2]}, until_s))
         end = other._step(RECEIVE, other._rest(held), takes, until_s, other._habit)
         if end is None:
             return None
@@ -313,13 +343,13 @@ class Planner:
             return None
         return (now[0], leave_s + way[1]), end
 
-    def _brought(self, goal: _Goal, now: _Goal, interior: int, time_s: float, label: str) -> tuple[CubicSpline, float] | None:
-        found = self._way(now, goal, max(interior, _led(now, goal) * _INTERIOR[1]), time_s, _HASTE * self._tempo)
+    def _brought(self, goal: Goal, now: Goal, interior: int, time_s: float, label: str) -> tuple[PPoly, float] | None:
+        found = self._way(now, goal, max(interior, _led(now, goal) * _LED), time_s, _HASTE * self._tempo)
         if found is None:
             self._attempts.judge(Rejection("way", self._who.slot, label))
         return found
 
-    def _rest(self, held: Hold) -> Step:
+    def _rest(self, held: Hold | None) -> Step:
         """Back to rest with something in a hand."""
         cabin = self._around.cabin
         return Step(resting(cabin.seats[self._who.slot], cabin, held), haste=_HASTE)
@@ -343,11 +373,10 @@ class Planner:
         if wheel is None or self._who.slot != "driver":
             return False, False
         palms = self._who.person.pose(pose.q, pose.root).palms
-        local = [(rp.matmul(invert(wheel.vehicle_from_wheel), palms[side]))[:3, 3] for side in "lr"]
-        off = [float(rp.hypot(rp.hypot(p[0], p[1]) - wheel.rim_radius_m, p[2])) for p in local]
+        off = [rim_distance(wheel, palms[side][:3, 3]) for side in "lr"]
         return off[0] < _AT_RIM_M, off[1] < _AT_RIM_M
 
-    def _goal(self, step: Step, now: _Goal, time_s: float, number: int, reach: Reach | None = None) -> _Goal | None:
+    def _goal(self, step: Step, now: Goal, time_s: float, number: int, reach: Reach | None = None) -> Goal | None:
         """A pose for a step that is possible in itself; reach: where hands go, in place of a neighbour's arm."""
         angle = now.pose.wheel_angle
         if step.steers:
@@ -359,26 +388,36 @@ class Planner:
         if step.steers and not any(a and b for a, b in zip(now.holds, drawn.sitter.holds, strict=True)):
             drawn = self._who.draw(step.action, now.pose.wheel_angle, hold, number, time_s, reach)
             angle = now.pose.wheel_angle
-        if step.steers:
-            drawn = replace(drawn, sitter=holding(drawn.sitter, self._carried(now, drawn.sitter, angle)))
         if reach is not None and reach.side is not None:
             touches = tuple(touch for touch in drawn.touches if touch.side == reach.side)
             stays = staying(drawn.sitter, now.pose.q, now.pose.root, reach.side, now.holds)
-            drawn = replace(drawn, sitter=stays, touches=touches)
-        placed = self._around.empty(angle).placed
-        (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), placed)
+            return self._posed(replace(drawn, sitter=stays, touches=touches), angle, time_s)
+        kept = self._carried(now, drawn.sitter, angle, near=step.steers)
+        if all(palm is None for palm in kept):
+            return self._posed(drawn, angle, time_s)
+        # Hands stay where they hold the wheel, unless that leaves no way.
+        found = self._posed(replace(drawn, sitter=holding(drawn.sitter, kept)), angle, time_s)
+        return found or (None if step.steers else self._posed(drawn, angle, time_s))
+
+    def _posed(self, drawn: Drawn, angle: float, time_s: float) -> Goal | None:
+        """The pose that somebody's goals lead to, if it is possible in itself."""
+        (found,) = settled([drawn], self._around.sitters(self._who.slot, time_s), self._around.empty(angle).placed)
         if found.refused:
             self._attempts.judge(Rejection("reach", self._who.slot, found.refused, found.held_up_by))
             return None
-        pose = Pose(found.q, found.vehicle_from_root, angle)
+        pose = Pose(found.q, found.vehicle_from_root, angle, found.fingers)
         rejection = self._around.verdict(self._who.slot, self._who.person, pose, time_s).rejection
         self._attempts.judge(rejection)
         if rejection is not None:
             return None
-        return _Goal(pose, drawn.sitter.holds)
+        holds, grasping = drawn.sitter.holds, {touch.side for touch in drawn.touches if touch.grasps}
+        return Goal(pose, holds, (holds[0] or 0 in grasping, holds[1] or 1 in grasping))
 
-    def _carried(self, now: _Goal, chosen: Sitter, angle: float) -> tuple[Matrix | None, Matrix | None]:
-        """Where a rim that turns to `angle` (rad) takes palms that were to be near there; None for a new grip."""
+    def _carried(self, now: Goal, chosen: Sitter, angle: float, *, near: bool) -> tuple[Matrix | None, Matrix | None]:
+        """Where a rim that turns to `angle` (rad) takes palms that hold it, and are to; None for a new grip.
+
+        near: only those that were to be near there.
+        """
         before, after = (self._around.cabin.vehicle_from_wheel(each) for each in (now.pose.wheel_angle, angle))
         if before is None or after is None:
             return None, None
@@ -387,7 +426,7 @@ class Planner:
         for side in (0, 1):
             if now.holds[side] and chosen.holds[side]:
                 palm = rp.matmul(after, rp.matmul(invert(before), palms["lr"[side]]))
-                if rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < _HELD_M:
+                if not near or rp.norm(palm[:3, 3] - chosen.goals.target[side][:3, 3]) < HELD_M:
                     result[side] = palm
         return result[0], result[1]
 
@@ -406,74 +445,7 @@ class Planner:
                 return np.asarray(0.6 * shoulder + 0.4 * elbow)
         return None
 
-    def _between(self, track: Track, now: _Goal, goal: _Goal, interior: int, time_s: float) -> Floats:
-        """(K, 51) states from one pose to another, with poses in between that the solver finds."""
-        start, end = now.via or now.pose, goal.via or goal.pose
-        ends = track.state_of(start), track.state_of(end)
-        shares = np.linspace(0.0, 1.0, interior + 2)
-        states = [track.state_of(now.pose), ends[0]] if now.via else [ends[0]]
-        sitters = self._around.sitters(self._who.slot, time_s) if interior else []
-        for share in shares[1:-1].tolist():
-            straight = track.pose_of((1.0 - share) * ends[0] + share * ends[1])
-            lets_go, arrives = share == shares[1], share == shares[-2]
-            palms = [self._palm(side, now, goal, straight, share, lets_go=lets_go, arrives=arrives) for side in (0, 1)]
-            holds = [a and b for a, b in zip(now.holds, goal.holds, strict=True)]
-            for side, palm in enumerate(palms):
-                if palm is not None and not holds[side]:
-                    straight.q[_GRIP[side]] = min(straight.q[_GRIP[side]], _OPEN)
-            seat = self._around.cabin.seats[self._who.slot]
-            soles = self._soles(start, end, share)
-            who = between(
-                self._who.person, seat, straight.q, straight.root, (palms[0], palms[1]), soles, (holds[0], holds[1])
-            )  # fmt: skip
-            solve([who, *sitters], self._around.empty(straight.wheel_angle).placed)
-            states.append(track.state_of(Pose(who.q, who.root, straight.wheel_angle)))
-        return np.stack([*states, ends[1], *([track.state_of(goal.pose)] if goal.via else [])])
 
-    def _palm(
-        self, side: int, now: _Goal, goal: _Goal, between: Pose, share: float, *, lets_go: bool, arrives: bool
-    ) -> Matrix | None:
-        """Where a palm is on its way: with the rim that it holds, off what it holds as it lets go or arrives; else None."""
-        wheel, (before, after) = self._around.cabin.steering_wheel, (now.holds[side], goal.holds[side])
-        if not (before or after):
-            return None
-        ends = now.via or now.pose, goal.via or goal.pose
-        palm = [self._who.person.pose(pose.q, pose.root).palms["lr"[side]] for pose in ends]
-        if before and after and wheel is not None:
-            angles = now.pose.wheel_angle, goal.pose.wheel_angle, between.wheel_angle
-            hub = [rp.matmul(wheel.vehicle_from_wheel, transform(axis_rotation("z", angle))) for angle in angles]
-            first, last = rp.matmul(invert(hub[0]), palm[0]), rp.matmul(invert(hub[1]), palm[1])
-            if rp.norm(first[:3, 3] - last[:3, 3]) < _HELD_M:
-                return rp.matmul(hub[2], _mixed(first, last, share))
-        if (before and lets_go) or (after and arrives):
-            off = palm[0].copy() if before and lets_go else palm[1].copy()
-            off[:3, 3] -= _OFF_M * off[:3, 2]
-            return np.asarray(off)
-        return None
-
-    def _aside(self, goal: _Goal, side: int, time_s: float, by: Floats) -> Pose:
-        """The pose near one in which a hand is at a thing, and now `by` (3,) m from there, vehicle frame."""
-        pose, who = goal.pose, self._who
-        body = who.person.pose(pose.q, pose.root)
-        palms = [body.palms[s] if goal.holds[hand] else None for hand, s in enumerate("lr")]
-        palms[side] = rp.matmul(transform(None, by), body.palms["lr"[side]])
-        near = between(
-            who.person, self._around.cabin.seats[who.slot], pose.q, pose.root, (palms[0], palms[1]),
-            (body.soles["l"], body.soles["r"]), goal.holds,
-        )  # fmt: skip
-        solve([near, *self._around.sitters(who.slot, time_s)], self._around.empty(pose.wheel_angle).placed)
-        return pose._replace(q=near.q, root=near.root)
-
-    def _soles(self, start: Pose, end: Pose, share: float) -> tuple[Matrix, Matrix]:
-        one, two = (self._who.person.pose(pose.q, pose.root) for pose in (start, end))
-        return _mixed(one.soles["l"], two.soles["l"], share), _mixed(one.soles["r"], two.soles["r"], share)
-
-
-def _led(start: _Goal, end: _Goal) -> bool:
+def _led(start: Goal, end: Goal) -> bool:
     """Whether a hand stays at the rim on the way."""
     return any(a and b for a, b in zip(start.holds, end.holds, strict=True))
-
-
-def _mixed(first: Matrix, last: Matrix, share: float) -> Matrix:
-    """A rigid transform between two that are near each other."""
-    return nearest_rigid((1.0 - share) * first + share * last)

@@ -91,7 +91,7 @@ def _next(
         goals = drawn.sitter.goals._replace(posture=pose.q + np.clip(_STEPS[tried] * asked, -fast, fast))
         sitter = drawn.sitter._replace(goals=goals, q=pose.q.copy(), root=pose.root.copy())
         (found,) = settled([replace(drawn, sitter=sitter)], around.sitters(who.slot, time_s), placed)
-        after = track.state_of(pose._replace(q=found.q, root=found.vehicle_from_root))
+        after = track.state_of(pose._replace(q=found.q, root=found.vehicle_from_root, fingers=found.fingers))
         step = np.abs(after - before)
         slower = np.divide(_OF_FASTEST * FASTEST_STATE * _KNOT_S, step, out=np.ones_like(step), where=step > 0.0).min()
         after = before + min(1.0, float(slower)) * (after - before)

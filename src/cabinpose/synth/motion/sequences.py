@@ -12,7 +12,7 @@ import numpy as np
 from cabinpose.scene.body import Person, PosedBody
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.config import CabinScene
-from cabinpose.synth.motion.activities import RECORDED, activities_for, inboard_neighbour, program_of, resting
+from cabinpose.synth.motion.activities import BUCKLE_UP, RECORDED, activities_for, inboard_neighbour, program_of, resting
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.motion.planner import WHEEL_LIMIT, Planner, Somebody, Surroundings
 from cabinpose.synth.motion.track import Idle, Pose, Track
@@ -115,7 +115,7 @@ def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attemp
     planners, followers = {}, []
     for slot, (pose, _) in posed.poses.items():
         who = Somebody(slot, people[slot], partial(goals, slot), partial(choices.of, slot))
-        start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0)
+        start = Pose(pose.q, pose.vehicle_from_root, pose.wheel_angle or 0.0, pose.fingers)
         if slot in scene.recorded:
             around.people[slot] = people[slot], Track(start, RECORDED, Idle.drawn(rng=plans[slot]), 0.0)
             followers.append(who)
@@ -159,14 +159,14 @@ class _Choices:
 
     def __init__(self, cast: Cast, scene: CabinScene, sequence: SequenceConfig) -> None:
         self._cast, self._activities, self._weights = cast, sequence.activities or (), scene.weights
-        self._empty = scene.in_hand == 0.0
+        self._empty, self._scene = scene.in_hand == 0.0, scene
         self.free = [slot for slot in cast.people if slot not in scene.recorded and slot not in cast.child_seats]
 
-    def of(self, slot: str, hold: Hold | None, *, at_first: bool = False) -> dict[str, float]:
+    def of(self, slot: str, hold: Hold | None, *, at_first: bool = False, anything: bool = False) -> dict[str, float]:
         """Activities by weight; where none of those asked for makes sense in a seat, any that does.
 
         at_first: when it is drawn what is in the hand, so that empty hands also do what needs a thing. Later they do so where
-        there is nothing else to do, or where nobody has anything in the hand.
+        there is nothing else to do, or where nobody has anything in the hand · anything: whatever is asked for.
         """
         bare = at_first or self._empty
         cabin, taken, child = self._cast.cabin, self._cast.people, slot in self._cast.child_seats
@@ -176,13 +176,16 @@ class _Choices:
         possible = activities_for(seat, cabin, hold, taken, in_child_seat=child, asked_for=asked_for)
         if slot not in self.free or inboard_neighbour(seat, cabin, taken) not in self.free or not (bare or hold):
             possible = tuple(name for name in possible if name != "hand_over")
+        given = self._scene.occupant(slot)
+        if self._scene.belted == 0.0 or given.belted is False or given.belt == "none":
+            possible = tuple(name for name in possible if name != BUCKLE_UP)
         if weights is None and child:
             held = {name: 1.0 for name, action in OWN_ACTIONS.items() if action.in_hand == "always"}
             weights = IN_CHILD_SEAT if bare else {**IN_CHILD_SEAT, **held}
         if weights is None:
             weights = {name: OWN_ACTIONS[name].weight if name in OWN_ACTIONS else _PROGRAM_WEIGHT for name in possible}
         usual = {name: weights[name] for name in possible if weights.get(name, 0.0) > 0.0}
-        result = {name: 1.0 for name in possible if name in self._activities} or usual
+        result = {name: 1.0 for name in possible if name in self._activities and not anything} or usual
         handless = (
             result if bare or hold is not None else {name: w for name, w in result.items() if program_of(name).held_at is None}
         )

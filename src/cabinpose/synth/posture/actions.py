@@ -19,7 +19,10 @@ from cabinpose.scene.cabin import Cabin, Seat
 from cabinpose.synth.posture.places import (
     ARMREST,
     BELT,
+    BESIDE,
+    BITE,
     BOOK,
+    BUCKLE,
     CHEST,
     DRINK,
     EAR,
@@ -31,6 +34,7 @@ from cabinpose.synth.posture.places import (
     REACH,
     SHIN,
     THIGH,
+    TONGUE,
     VISOR,
     WHEEL,
     HandPlace,
@@ -175,10 +179,17 @@ _STEPS = (
         "turn_back", EITHER, THIGH, Gaze((125.0, 10.0), (-14.0, 6.0), either_side=True),
         trunk={"thorax.rotation": (24.0, 4.0), "lumbar.rotation": (7.0, 2.0), "lumbar.flexion": (3.0, 2.0)}, weight=0.0,
     ),
+    Action("take_tongue", TONGUE, EITHER, _HAND, weight=0.0),
+    Action("plug_tongue", BUCKLE, EITHER, _HAND, trunk={"lumbar.flexion": (3.0, 2.0)}, weight=0.0),
+    Action("bite", BITE, EITHER, Gaze((0.0, 8.0), (-8.0, 5.0)), weight=0.0, in_hand="always"),
     Action("at_mouth", MOUTH, EITHER, Gaze((0.0, 8.0), (-4.0, 5.0)), weight=0.0),
     Action(
         "reach_floor", SHIN, THIGH, Gaze((0.0, 10.0), (-40.0, 6.0)),
         trunk={"lumbar.flexion": (14.0, 3.0), "thorax.flexion": (12.0, 3.0)}, pelvis=(20.0, 4.0), weight=0.0,
+    ),
+    Action(
+        "reach_beside", BESIDE, EITHER, Gaze((25.0, 8.0), (-30.0, 6.0), either_side=True),
+        trunk={"lumbar.lateral": (12.0, 3.0), "thorax.lateral": (8.0, 2.0), "lumbar.flexion": (3.0, 2.0)}, weight=0.0,
     ),
 )  # fmt: skip
 

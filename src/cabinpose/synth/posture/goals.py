@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ _ON_PLACE = np.array([5.0, 5.0, 5.0, 0.02, 0.02, 0.02])
 _DRAGGED_ARM = 0.004
 _IN_REACH_M = 0.01
 _ON_WAY, _HELD_LIMB = 0.08, 0.03  # 1/rad, of leaving the straight way between two poses: free limbs, and those at their places
+_LOOSELY = 0.03  # m/rad
+_STILLER = 12.0  # a trunk on the way, so that arms give way to what is there
 _STAYS = np.array([20.0, 20.0, 20.0, 0.5, 0.5, 0.5])
 _UPPER_BODY = [i for i, dof in enumerate(DOFS) if dof.name.split(".")[0] in _OF_JOINT]
 _ON_GAZE = np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
@@ -92,7 +95,7 @@ def between(
     palms: `vehicle_from_palm` (4, 4) of hands that have a place, None for those that have none · holds: which of them are closed
     around the wheel.
     """
-    stiffness = np.where(_STIFFNESS > 0.0, _STIFFNESS, _ON_WAY)
+    stiffness = np.where(_STIFFNESS > 0.0, _STILLER * _STIFFNESS, _ON_WAY)
     rows: list[tuple[str, Matrix, str, Matrix, Floats]] = []
     for side, palm in enumerate(palms):
         if palm is not None:
@@ -123,6 +126,13 @@ def staying(chosen: Sitter, q: Floats, root: Matrix, side: int, holds: tuple[boo
     goals = goals._replace(posture=posture, stiffness=stiffness, root=root, target=target, weight=weight, base=base)
     stay = holds[0] and side != 0, holds[1] and side != 1
     return chosen._replace(goals=goals, q=q, root=root.copy(), holds=stay)
+
+
+def turning_freely(who: Sitter, hands: Iterable[int]) -> Sitter:
+    """The same person of `between`, both of whose palms have a place: these `hands` (0 left, 1 right) turn as they like."""
+    weight = who.goals.weight.copy()
+    weight[list(hands), 3:] = _LOOSELY
+    return who._replace(goals=who.goals._replace(weight=weight))
 
 
 def holding(chosen: Sitter, palms: tuple[Matrix | None, Matrix | None]) -> Sitter:

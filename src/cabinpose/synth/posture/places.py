@@ -36,6 +36,8 @@ _OVER_THIGH_M = 0.03  # of the lower end of what is carried upright
 _REACHED_SIGMA_M = 0.012
 # The axis of what is drunk from, above the level of the head: some 20 deg when it is full, more when it is not (assumed).
 _RAISED, _FROM_ASIDE, _LIPS_M = (math.radians(22.0), math.radians(9.0)), 0.15, 0.004
+_LOWERED = (math.radians(-40.0), math.radians(8.0))  # the same of what is bitten off (assumed)
+_OVER_BUCKLE_M, _BESIDE_CUSHION_M = 0.07, 0.30  # of a palm from a belt's buckle, and of fingertips from the seat's middle
 _ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)  # of a hand that drinks from nothing
 _KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
 _BEHIND_RIM_M, _LEAST_ALONG = 0.02, 0.40  # fingertips that end before the wheel's rim; share of the thigh
@@ -306,10 +308,11 @@ class _Drink(HandPlace):
     """A bottle or a cup at the mouth, its lower end before it and raised as far as it is empty."""
 
     name, carried_by, grip, held, touches = "drink", "head", 0.4, Around(0.42), "head"
+    raised: ClassVar[tuple[float, float]] = _RAISED  # mean and sigma, rad
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         head, s = trunk.skeleton.bone("head"), 1.0 - 2.0 * side
-        raised = _RAISED[0] + _RAISED[1] * hand.noise[2]
+        raised = self.raised[0] + self.raised[1] * hand.noise[2]
         aside = _FROM_ASIDE * s + 0.05 * hand.noise[1]
         to_mouth = -np.array((rp.cos(raised), aside, rp.sin(raised)))  # in the head's frame
         to_mouth = rp.matmul(head[:3, :3], to_mouth / rp.norm(to_mouth))
@@ -324,6 +327,12 @@ class _Drink(HandPlace):
         target[:3, 0] = cross(target[:3, 1], target[:3, 2])
         target[:3, 3] = lips - rp.matmul(target[:3, :3], top)
         return LimbTask.firm(target, (0.06, 0.012, 0.06), at.FACE_ARM)
+
+
+class _Bite(_Drink):
+    """What is eaten, its upper end at the mouth and its lower one below it."""
+
+    name, held, raised = "bite", Around(0.35), _LOWERED
 
 
 class _Shin(HandPlace):
@@ -387,7 +396,9 @@ class _Carry(HandPlace):
 class _Belt(HandPlace):
     """At the shoulder belt, in front of the shoulder that it comes from."""
 
-    name, carried_by, grip, watched, touches = "belt", "spine01", 0.6, True, "belt"
+    name, carried_by, grip, watched = "belt", "spine01", 0.6, True
+    touches: ClassVar[Literal["", "car", "belt", "head"]] = "belt"
+    aside_m: ClassVar[float] = 0.07  # from the middle of the chest, to the side from which the belt comes
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         return seat.belt is not None
@@ -398,13 +409,47 @@ class _Belt(HandPlace):
         local = rp.matmul(thorax[:3, :3].T, belt.upper - thorax[:3, 3])
         s = 1.0 if local[1] > 0.0 else -1.0
         depth = float(_skin(trunk.seated.person, "thorax")[:, 0].max()) + 0.065
-        point = thorax[:3, 3] + rp.matmul(thorax[:3, :3], np.array([depth, s * 0.07, 0.03]))
+        point = thorax[:3, 3] + rp.matmul(thorax[:3, :3], np.array([depth, s * self.aside_m, 0.03]))
         back = rp.matmul(thorax[:3, :3], np.array([-1.0, 0.0, 0.15]))
         fingers = rp.matmul(thorax[:3, :3], np.array([0.15, s * 0.8, 0.6]))
         if 1.0 - 2.0 * side == s:  # the hand of the same side comes from below, its fingers to the middle
             fingers = rp.matmul(thorax[:3, :3], np.array([0.1, -s * 0.6, 0.8]))
         target = at.palm_frame(point, back, fingers)
         return LimbTask.firm(target, (0.03, 0.03, 0.02), at.CROSS_ARM)
+
+
+class _Tongue(_Belt):
+    """At the tongue of a belt that is not worn, before the shoulder beside which it hangs."""
+
+    name, grip, touches, aside_m = "tongue", 0.75, "", 0.17
+
+
+class _Buckle(HandPlace):
+    """Over the buckle of the seat's belt, fingers down."""
+
+    name, grip, watched = "buckle", 0.75, True
+
+    def exists(self, seat: Seat, cabin: Cabin) -> bool:
+        return seat.belt is not None
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        anchors, ahead = trunk.seated.seat.belt_anchors(trunk.seated.setting), trunk.seated.forward
+        assert anchors is not None  # see `exists`
+        inwards = (1.0 - 2.0 * side) * np.array((ahead[1], -ahead[0], 0.0))
+        point = anchors.buckle + _OVER_BUCKLE_M * _UP + 0.5 * _OVER_BUCKLE_M * ahead
+        return LimbTask.firm(at.palm_frame(point, inwards - 0.5 * _UP, ahead - _UP), (0.01, 0.01, 0.01), at.SIDE_ARM)
+
+
+class _Beside(HandPlace):
+    """Down beside the own seat's cushion."""
+
+    name, grip, reaches, watched = "beside", 0.06, True, True
+
+    def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
+        s, (a, b, _) = trunk.seated, hand.noise
+        left = (1.0 - 2.0 * side) * np.array([-s.forward[1], s.forward[0], 0.0])
+        point = s.seat.h_point(s.setting) + (0.16 + 0.03 * a) * s.forward + _BESIDE_CUSHION_M * left - (0.12 + 0.02 * b) * _UP
+        return _pointing_at(point, _shoulder(trunk, side), at.SIDE_ARM)
 
 
 class _Reach(HandPlace):
@@ -524,6 +569,27 @@ def _holding(
 WHEEL, THIGH, ARMREST, EITHER, SHIN, CARRY, BELT = _Wheel(), _Thigh(), _Armrest(), _Either(), _Shin(), _Carry(), _Belt()
 EAR, MOUTH, DRINK, CHEST, BOOK, GIVE, REACH, TAKE = _Ear(), _Mouth(), _Drink(), _Chest(), _Book(), _Give(), _Reach(), _Take()
 KNOB, MIRROR, VISOR = _Knob(), _Mirror(), _Visor()
-_ALL = (WHEEL, THIGH, ARMREST, EITHER, EAR, MOUTH, DRINK, SHIN, CHEST, BOOK, CARRY, BELT, GIVE, REACH, TAKE, KNOB, MIRROR, VISOR)
+TONGUE, BUCKLE, BESIDE, BITE = _Tongue(), _Buckle(), _Beside(), _Bite()
+_ALL = (
+    WHEEL,
+    THIGH,
+    ARMREST,
+    EITHER,
+    EAR,
+    MOUTH,
+    DRINK,
+    SHIN,
+    CHEST,
+    BOOK,
+    CARRY,
+    BELT,
+    GIVE,
+    REACH,
+    TAKE,
+    KNOB,
+    MIRROR,
+    VISOR,
+    *(TONGUE, BUCKLE, BESIDE, BITE),
+)
 # Where a hand can be, by name.
 PLACES: Mapping[str, HandPlace] = MappingProxyType({place.name: place for place in _ALL})
