@@ -19,6 +19,8 @@ _PEDAL_M = 0.006  # between sole and pad
 _HEEL_M = 0.012  # along the pad, of a heel's roundness behind the sole's end
 _UP_PAD_M = 0.045  # at most, of the ball of a long foot
 _ASIDE_M = {"accelerator": -0.024}  # clear of the brake, which stands proud of it
+# Pads that stand nearer are pressed with the ball, the heel behind and the sole flatter than the pad (assumed): rad, m off it, m lower.
+_PRESSED = dict.fromkeys(("brake", "clutch"), (math.radians(10.0), 0.005, 0.012))
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
 # Weights along and about the sole's axes, 1/m and 1/rad. A foot on the floor may stand elsewhere, but on the floor.
@@ -91,7 +93,9 @@ def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, plan: Foot
     along, out = pad[:3, 0], pad[:3, 2]
     to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor
     target = pad.copy()
-    target[:3, 3] += _PEDAL_M * out
+    pressed, off, lower = _PRESSED.get(plan.pedal or "", (0.0, 0.0, 0.0))
+    target[:3, :3] = rp.matmul(pad[:3, :3], rotation_vector((0.0, pressed, 0.0)))
+    target[:3, 3] += (_PEDAL_M + off) * out - lower * along
     target[:3, 3] += min(ball - to_floor + _HEEL_M, _UP_PAD_M) * along + _ASIDE_M.get(plan.pedal or "", 0.0) * pad[:3, 1]
     return FootGoal(tool, target, _ON_PEDAL, _turned_out(_PEDAL_KNEE, plan), True)
 

@@ -21,8 +21,9 @@ _KNEE, _KNEE_SPREAD = np.radians(59.0), np.radians(10.0)
 _ELBOW, _ELBOW_SPREAD = np.radians(52.0), np.radians(19.0)
 # The foot against the leg: theirs were 80 to 113 deg, those of 127 drivers 85 to 113 (Wolf 2022); 90 is 0 here.
 _ANKLE, _ANKLE_SPREAD = np.radians(-2.0), np.radians(7.0)
+_BENT_ANKLE, _BENT_SPREAD = np.radians(12.0), np.radians(3.0)  # nobody sits so near that the ankle comes to its limit
 # Who likes to sit far off likes straighter knees and elbows: so many of both spreads for one of a person's taste.
-_TASTE, _TASTE_STEPS, _MOST_TASTE = 1.1, 2, 2.0  # of which whole and half ones are known, so that settings are shared
+_TASTE, _TASTE_STEPS, _MOST_TASTE = 1.05, 2, 2.0  # of which whole and half ones are known, so that settings are shared
 _RECLINE_SPREAD = np.radians(3.0)
 _BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
 _THIGH_GAP_M, _THIGH_SPREAD_M = 0.035, 0.012  # between the rim and the thighs
@@ -209,6 +210,7 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, tast
             ((knee - _KNEE) / _KNEE_SPREAD + _TASTE * taste) ** 2
             + ((elbow - _ELBOW) / _ELBOW_SPREAD + _TASTE * taste) ** 2
             + ((dorsiflexion - _ANKLE) / _ANKLE_SPREAD + _TASTE * taste) ** 2
+            + (np.maximum(dorsiflexion - _BENT_ANKLE, 0.0) / _BENT_SPREAD) ** 2
             + ((place[:, 0] - height) / _HEIGHT_SPREAD_M) ** 2
             + unease(recline)
             + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
