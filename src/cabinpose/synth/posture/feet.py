@@ -20,7 +20,7 @@ _HEEL_M = 0.012  # along the pad, of a heel's roundness behind the sole's end
 _UP_PAD_M = 0.045  # at most, of the ball of a long foot
 _ASIDE_M = {"accelerator": -0.024}  # clear of the brake, which stands proud of it
 # Pads that stand nearer are pressed with the ball, the heel behind and the sole flatter than the pad (assumed): rad, m off it, m lower.
-_PRESSED = dict.fromkeys(("brake", "clutch"), (math.radians(10.0), 0.005, 0.012))
+_PRESSED = dict.fromkeys(("brake", "clutch"), (math.radians(10.0), 0.008, 0.012))
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
 # Weights along and about the sole's axes, 1/m and 1/rad. A foot on the floor may stand elsewhere, but on the floor.

@@ -38,7 +38,7 @@ _REACHED_SIGMA_M = 0.012
 _RAISED, _FROM_ASIDE, _LIPS_M = (math.radians(22.0), math.radians(9.0)), 0.15, 0.004
 _ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)  # of a hand that drinks from nothing
 _KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
-_BEHIND_RIM_M, _LEAST_ALONG = 0.02, 0.40  # fingertips that end before the wheel's rim; share of the thigh
+_BEHIND_RIM_M, _LEAST_ALONG = 0.01, 0.50  # fingertips that end before the wheel's rim; share of the thigh
 _BACK_OUT_M = 0.12  # for a whole thigh: hands nearer to the hips would meet, as thighs do
 
 

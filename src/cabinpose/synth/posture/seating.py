@@ -23,7 +23,7 @@ _ELBOW, _ELBOW_SPREAD = np.radians(52.0), np.radians(19.0)
 _ANKLE, _ANKLE_SPREAD = np.radians(-2.0), np.radians(7.0)
 _BENT_ANKLE, _BENT_SPREAD = np.radians(12.0), np.radians(3.0)  # nobody sits so near that the ankle comes to its limit
 # Who likes to sit far off likes straighter knees and elbows: so many of both spreads for one of a person's taste.
-_TASTE, _TASTE_STEPS, _MOST_TASTE = 1.05, 2, 2.0  # of which whole and half ones are known, so that settings are shared
+_TASTE, _TASTE_STEPS, _MOST_TASTE = 1.3, 2, 2.0  # of which whole and half ones are known, so that settings are shared
 _RECLINE_SPREAD = np.radians(3.0)
 _BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
 _THIGH_GAP_M, _THIGH_SPREAD_M = 0.035, 0.012  # between the rim and the thighs
