@@ -335,7 +335,7 @@ class _Shin(HandPlace):
         s, (a, b, _) = trunk.seated, hand.noise
         left = np.array([-s.forward[1], s.forward[0], 0.0])
         below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * _UP + (0.10 - 0.2 * side) * left
-        return _pointing_at(below + 0.04 * a * s.forward, _shoulder(trunk, side), at.REACH_ARM)
+        return _pointing_at(below + (0.04 * a - 0.03) * s.forward, _shoulder(trunk, side), at.REACH_ARM)
 
 
 class _Chest(HandPlace):
