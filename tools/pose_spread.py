@@ -100,7 +100,7 @@ def contacts(person: Person, posed: PosedBody, wheel: SteeringWheel | None) -> d
 def seen_of_passenger(person: ScenePerson, seat: Seat, setting: SeatSetting, cabin: Cabin) -> dict[str, bool]:
     """What Reed (2020, UMTRI-2020-2) counted in photographs of front passengers, by measures of ours.
 
-    Turned is more than 15 deg of the head (nose against the vehicle) or of the shoulders; pitched forward is a trunk 12 deg
+    Turned is more than 20 deg of the head (nose against the vehicle) or of the shoulders; pitched forward is a trunk 12 deg
     before its usual place on the backrest; a thigh is raised whose slope is 8 deg more than on the cushion; legs are crossed
     where an ankle is beyond the other one, or a knee.
     """
@@ -112,8 +112,8 @@ def seen_of_passenger(person: ScenePerson, seat: Seat, setting: SeatSetting, cab
     usual = fit.shoulders.mean(axis=0) - fit.seat_from_root[:3, 3]
     slopes = [np.arcsin((at[s + "knee"] - at[s + "pelvis"])[2] / np.linalg.norm(at[s + "knee"] - at[s + "pelvis"])) for s in "lr"]
     return {
-        "head turned": abs(np.arctan2(head[1], head[0])) > np.radians(15),
-        "torso turned": abs(np.arctan2(-across[0], across[1])) > np.radians(15),
+        "head turned": abs(np.arctan2(head[1], head[0])) > np.radians(20),
+        "torso turned": abs(np.arctan2(-across[0], across[1])) > np.radians(20),
         "pitched forward": np.arctan2(trunk[0], trunk[2]) - np.arctan2(usual[0], usual[2]) > np.radians(12),
         "a thigh raised": max(slopes) - fit.thigh_angle > np.radians(8),
         "legs crossed": any(at["l" + joint][1] < at["r" + joint][1] for joint in ("ankle", "knee")),

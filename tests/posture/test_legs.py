@@ -47,7 +47,7 @@ def test_footrests_are_flatter_and_rims_have_room_for_fingers(preset: str) -> No
 
 
 def test_drivers_ankles_are_seldom_at_their_limits(people: Mapping[str, Person]) -> None:
-    """At most 5 % of each; none is stretched or turned more than the 85 to 113 deg of Wolf 2022, and 25 more, allow."""
+    """At most 5 % of each; the right foot against the leg as those of 127 drivers, 85 to 113 deg (Wolf 2022)."""
     pinned, angles = {"l": 0, "r": 0}, []
     rng, count = np.random.default_rng(7), 0
     for preset in CARS:
@@ -66,7 +66,7 @@ def test_drivers_ankles_are_seldom_at_their_limits(people: Mapping[str, Person])
                 ]
                 pinned[side] += any(min(q - dof.lower, dof.upper - q) < LIMIT for q, dof in of)
     assert max(pinned.values()) <= 0.05 * count, pinned
-    assert 74.0 < np.median(angles) < 113.0
+    assert 85.0 < np.median(angles) < 113.0
 
 
 def test_stances_are_drawn_by_their_shares(people: Mapping[str, Person]) -> None:

@@ -37,11 +37,11 @@ _BACK = math.radians(21.0)
 # than find room; how both divide is assumed.
 STANCES: Mapping[str, Stance] = MappingProxyType(
     {
-        "resting": Stance(0.52, (_ON_CUSHION, _ON_CUSHION)),
+        "resting": Stance(0.49, (_ON_CUSHION, _ON_CUSHION)),
         "drawn back": Stance(0.14, (_BACK, _BACK)),
         "one drawn back": Stance(0.15, (_BACK, _ON_CUSHION)),
         "one stretched": Stance(0.11, (_ON_CUSHION, _ON_CUSHION), (0.07, -0.07)),
-        "ankles crossed": Stance(0.08, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
+        "ankles crossed": Stance(0.11, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
     }
 )
 _ROOMY = frozenset({"ankles crossed"})  # not behind another seat, nor beside or opposite somebody

@@ -43,8 +43,8 @@ _VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m
 _RECLINED_DEG, _LEANS_FROM = (1.0, 4.0, 12.0), 0.9
 _FULL_REAR = -0.74  # and below it the seat is at the rear end of its travel: 23 %, 92 % behind the middle (the same study)
 _BACKREST_M, _KNEE_M, _RAISED_THIGH = 0.11, 0.10, 0.82  # depth of a backrest; before a knee joint; cosine of a thigh's slope
-# By how much a front seat is moved forward for the knees behind it, at most: drivers hardly move theirs (assumed).
-_MOVED_M = {"driver": 0.04, "front_passenger": 0.15}
+# By how much a front seat is moved forward for the knees behind it, at most: drivers move theirs less (assumed).
+_MOVED_M = {"driver": 0.08, "front_passenger": 0.15}
 
 
 class SeatOffset(NamedTuple):
