@@ -6,8 +6,9 @@
 
 Draws valid scenes as `cabinpose synth` does, leaves the rendering out, and prints JSON. For drivers (in cars with a wheel) and
 passengers (all others): every joint axis, hands and feet from the pelvis, elbows, knees, torso and eyes, each a row of `columns`;
-the covariance of the hands, what they touch, how often an axis is at its limit; the drivers' seats against stature; acceptance
-and CPU time. `--compare` prints what differs, the most narrowed or shifted first.
+the covariance of the hands, what they touch, how often an axis is at its limit; what is seen of front passengers, and how alike
+both knees are; the drivers' seats against stature; acceptance and CPU time. `--compare` prints what differs, the most narrowed or
+shifted first.
 
 Places are in the seat's axes (x forward as the occupant faces, y left, z up) from the middle between the femur heads. A hand's
 contact is measured, not taken from the action: the nearest of wheel and own body to its palm. Everything is read from `Scene`,
@@ -30,11 +31,12 @@ from threadpoolctl import threadpool_limits
 import cabinpose
 from cabinpose.core.errors import SceneError
 from cabinpose.core.skeleton import CABINPOSE
-from cabinpose.scene.body import DOFS, SEGMENTS, Person, PosedBody
-from cabinpose.scene.cabin import SteeringWheel
+from cabinpose.scene.body import BONE_INDEX, DOFS, SEGMENTS, Person, PosedBody
+from cabinpose.scene.cabin import Cabin, Seat, SeatSetting, SteeringWheel
 from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.posture import SeatContext
 from cabinpose.synth.sample import SceneSampler
-from cabinpose.synth.scene import Scene
+from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.streams import frame_rng
 from cabinpose.synth.validate import by_cause
 
@@ -95,6 +97,32 @@ def contacts(person: Person, posed: PosedBody, wheel: SteeringWheel | None) -> d
     return result
 
 
+def seen_of_passenger(person: ScenePerson, seat: Seat, setting: SeatSetting, cabin: Cabin) -> dict[str, bool]:
+    """What Reed (2020, UMTRI-2020-2) counted in photographs of front passengers, by measures of ours.
+
+    Turned is more than 20 deg of the head (nose against the vehicle) or of the shoulders; pitched forward is a trunk 12 deg
+    before its usual place on the backrest; a thigh is raised whose slope is 8 deg more than on the cushion; legs are crossed
+    where an ankle is beyond the other one, or a knee.
+    """
+    at = {name: person.posed.joints[index] for name, index in CABINPOSE.index.items()}
+    fit = SeatContext(person.person, seat, setting, cabin).fit
+    head = person.posed.bones[BONE_INDEX["head"]][:3, 0]
+    across = at["lshoulder"] - at["rshoulder"]
+    trunk = (at["lshoulder"] + at["rshoulder"] - at["lpelvis"] - at["rpelvis"]) / 2
+    usual = fit.shoulders.mean(axis=0) - fit.seat_from_root[:3, 3]
+    slopes = [np.arcsin((at[s + "knee"] - at[s + "pelvis"])[2] / np.linalg.norm(at[s + "knee"] - at[s + "pelvis"])) for s in "lr"]
+    return {
+        "head turned": abs(np.arctan2(head[1], head[0])) > np.radians(20),
+        "torso turned": abs(np.arctan2(-across[0], across[1])) > np.radians(20),
+        "pitched forward": np.arctan2(trunk[0], trunk[2]) - np.arctan2(usual[0], usual[2]) > np.radians(12),
+        "a thigh raised": max(slopes) - fit.thigh_angle > np.radians(8),
+        "legs crossed": any(at["l" + joint][1] < at["r" + joint][1] for joint in ("ankle", "knee")),
+        "backrest beyond 30 deg": setting.torso_angle > np.radians(30),
+        "behind the middle of the track": setting.fore_aft_m < sum(end.fore_aft_m for end in seat.ranges) / 2,
+        "full rear": setting.fore_aft_m < seat.ranges[0].fore_aft_m + 0.01,
+    }
+
+
 class Spread:
     """Gathers what is measured, scene by scene."""
 
@@ -119,6 +147,12 @@ class Spread:
                 pelvis = 500 * (p.posed.joints[CABINPOSE.index["lpelvis"]] + p.posed.joints[CABINPOSE.index["rpelvis"]])
                 row |= {"pelvis ahead of the heel point, mm": float(pelvis[0]), "pelvis above the floor, mm": float(pelvis[2])}
                 self._seats.append((scene.place, p.subject, 100 * p.person.stature_m, float(pelvis[0])))
+            elif p.slot == "front_passenger" and wheel is not None:
+                seat, setting = scene.cabin.seats[p.slot], scene.settings[p.slot]
+                row["backrest, deg"] = float(np.degrees(setting.torso_angle))
+                seen = seen_of_passenger(p, seat, setting, scene.cabin)
+                self._counts["front_passengers"]["seen"].update(name for name, is_so in seen.items() if is_so)
+                self._counts["front_passengers"]["seen"]["all"] += 1
             for name, value in row.items():
                 self._values[role][name].append(value)
             self._counts["actions"][role][p.action] += 1
@@ -140,6 +174,9 @@ class Spread:
             "actions": {role: shares(counts, number[role]) for role, counts in self._counts["actions"].items()},
             "hands_touch": {n: shares(counts, counts.total()) for n, counts in sorted(self._counts["hands_touch"].items())},
             "at_limit": {role: shares(counts, number[role]) for role, counts in self._counts["at_limit"].items()},
+            "front_passengers": shares(front, front["all"]) if (front := self._counts["front_passengers"]["seen"]) else {},
+            "knees_left_right": {role: round(float(np.corrcoef(*(values[f"{s}knee angle, deg"] for s in "lr"))[0, 1]), 3)
+                                 for role, values in self._values.items()},
             "seat_by_stature": {car: line([r for r in self._seats if car in (r[0], "all")])
                                 for car in (*sorted({r[0] for r in self._seats}), "all")},
             "hands_covariance_mm2": {name: np.cov(rows).round(1).tolist() for name, rows in places.items()},

@@ -104,7 +104,7 @@ class PedalSpec(_Strict):
         None,
         ge=10,
         le=90,
-        description="The pad's plane from the horizontal; default: SAE J1516's A47 for the driver's seat height.",
+        description="The pad's plane from the horizontal; default: SAE J4004's A47 for the driver's seat height.",
     )
 
 

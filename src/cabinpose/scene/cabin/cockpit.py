@@ -192,7 +192,7 @@ def pedals(layout: Layout, driver_y: float) -> tuple[dict[str, Matrix], list[Par
     places: dict[str, tuple[float, float, tuple[float, float], float]] = {  # y offset, proud of the plane, pad (long, wide), up
         "accelerator": (-0.115, 0.0, (0.13, 0.055), 0.0),
         "brake": (-0.035 if not layout.d.clutch else -0.025, 0.045, (0.065, 0.105 if not layout.d.clutch else 0.075), 0.02),
-        "footrest": (0.20, 0.0, (0.20, 0.075), -0.01),
+        "footrest": (0.20, 0.02, (0.20, 0.075), -0.01),
     }
     if layout.d.clutch:
         places["clutch"] = (0.085, 0.045, (0.065, 0.072), 0.02)

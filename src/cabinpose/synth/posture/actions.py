@@ -148,11 +148,11 @@ _ANYWHERE = (
     Action("look_around", EITHER, EITHER, Gaze((0.0, 45.0), (-3.0, 12.0))),
     Action(
         "look_back", THIGH, THIGH, Gaze((105.0, 12.0), (-8.0, 6.0), either_side=True),
-        trunk={"thorax.rotation": (16.0, 5.0), "lumbar.rotation": (5.0, 2.0), "lumbar.flexion": (2.0, 2.0)},
+        trunk={"thorax.rotation": (16.0, 5.0), "lumbar.rotation": (5.0, 2.0), "lumbar.flexion": (2.0, 2.0)}, weight=0.6,
     ),
     Action(
         "lean_forward", THIGH, THIGH, Gaze((0.0, 15.0), (-16.0, 9.0)),
-        trunk={"lumbar.flexion": (8.0, 4.0), "thorax.flexion": (6.0, 4.0)}, pelvis=(16.0, 6.0),
+        trunk={"lumbar.flexion": (8.0, 4.0), "thorax.flexion": (6.0, 4.0)}, pelvis=(16.0, 6.0), weight=0.6,
     ),
     Action(
         "lean_side", THIGH, THIGH, _FREE,

@@ -19,6 +19,8 @@ _PEDAL_M = 0.006  # between sole and pad
 _HEEL_M = 0.012  # along the pad, of a heel's roundness behind the sole's end
 _UP_PAD_M = 0.045  # at most, of the ball of a long foot
 _ASIDE_M = {"accelerator": -0.024}  # clear of the brake, which stands proud of it
+# Pads that stand nearer are pressed with the ball, the heel behind: the sole flatter (rad), off the pad and lower (m; assumed).
+_PRESSED = dict.fromkeys(("brake", "clutch"), (math.radians(10.0), 0.008, 0.012))
 MISS_M = 0.03  # a foot further than this from its pedal has not reached it
 _TOE_OUT = np.radians(7.0)
 # Weights along and about the sole's axes, 1/m and 1/rad. A foot on the floor may stand elsewhere, but on the floor.
@@ -29,10 +31,6 @@ _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
 _KNEE_OUT = np.array((0.0, 1.0, -0.7, 0.0, 0.0, 0.0))  # abduction, and the rotation that keeps the foot in its place (assumed)
 _BESIDE_PITCH = math.radians(22.0)  # of a driver's sole on its heel on the floor
-# Legs crossed at the thighs (assumed): above the lower knee and past the middle, m; shin from the vertical and aside; toes down.
-_OVER_M, _OVER_SHIN, _OVER_ASIDE, _OVER_TOES = (0.135, 0.045), math.radians(24.0), 0.15, math.radians(25.0)
-_OVER_KNEE = np.radians((100.0, -18.0, 5.0, 85.0, -15.0, 0.0))
-_IN_AIR = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
 _SHIN_LEAN = math.radians(24.0)  # of a foot drawn back: a shin that would lean back further lets the knee rise instead
 _FLAT_LEAN = math.radians(25.0)  # of a shin; the sole of one that leans back further rises from the floor, but for the heel
 _HEEL_BACK_M = 0.015  # of the skin, behind the sole's origin
@@ -54,7 +52,7 @@ class FootPlan(NamedTuple):
 
     forward: m, from where it would rest · out: m, to the side of the hip · toe_out: rad · knee_out: rad, by which the comfortable
     thigh turns out · lean: rad, how far back a shin may lean before the knee rises from the cushion instead · across: m, how far
-    an ankle is past the body's middle, None where legs are not crossed · over: whether this leg hangs over the other one's thigh.
+    an ankle is past the body's middle, None where legs are not crossed.
     """
 
     pedal: str | None = None
@@ -64,7 +62,6 @@ class FootPlan(NamedTuple):
     knee_out: float = 0.0
     lean: float = _SHIN_LEAN
     across: float | None = None
-    over: bool = False
 
 
 class FootGoal(NamedTuple):
@@ -91,7 +88,9 @@ def _on_pedal(person: Person, side: int, pad: Matrix, floor_z: float, plan: Foot
     along, out = pad[:3, 0], pad[:3, 2]
     to_floor = (pad[2, 3] - floor_z) / max(along[2], 1e-6)  # along the pad, from its origin to the floor
     target = pad.copy()
-    target[:3, 3] += _PEDAL_M * out
+    pressed, off, lower = _PRESSED.get(plan.pedal or "", (0.0, 0.0, 0.0))
+    target[:3, :3] = rp.matmul(pad[:3, :3], rotation_vector((0.0, pressed, 0.0)))
+    target[:3, 3] += (_PEDAL_M + off) * out - lower * along
     target[:3, 3] += min(ball - to_floor + _HEEL_M, _UP_PAD_M) * along + _ASIDE_M.get(plan.pedal or "", 0.0) * pad[:3, 1]
     return FootGoal(tool, target, _ON_PEDAL, _turned_out(_PEDAL_KNEE, plan), True)
 
@@ -157,22 +156,6 @@ def _beside_pedals(seated: SeatContext, side: int, plan: FootPlan) -> FootGoal:
     return FootGoal(seated.person.rest.soles[side], transform(rotation, place), _STANDING, _turned_out(_PEDAL_KNEE, plan), False)
 
 
-def _over_thigh(seated: SeatContext, root: Matrix, side: int, plan: FootPlan) -> FootGoal:
-    """A leg over the other one's thigh: its knee above that knee, the shin hanging, the toes down."""
-    person, fit, s = seated.person, seated.fit, 1.0 - 2.0 * side
-    vehicle_from_seat = seated.seat.vehicle_from_seat(seated.setting)
-    hip_half = float(person.rest.offsets[BONE_INDEX["lthigh"], 1])
-    hip = rp.matmul(invert(vehicle_from_seat), root, np.array([0.0, s * hip_half, 0.0, 1.0]))[:3]
-    thigh, shin = person.segment_lengths["thigh"], person.segment_lengths["shin"]
-    up, aside = _OVER_M[0] + thigh * rp.sin(fit.thigh_angle), -s * (hip_half + _OVER_M[1])
-    knee = hip + np.array([np.sqrt(max(thigh * thigh - up * up - aside * aside, 0.04)), aside, up])
-    ankle = knee + shin * np.array([rp.sin(_OVER_SHIN), -s * _OVER_ASIDE, -rp.cos(_OVER_SHIN)]) + (plan.forward, 0.0, 0.0)
-    rotation = rp.matmul(rotation_vector((0.0, 0.0, -s * plan.toe_out)), rotation_vector((0.0, _OVER_TOES, 0.0)))
-    sole = person.rest.soles[side]
-    target = rp.matmul(vehicle_from_seat, transform(rotation, ankle + rp.matmul(rotation, sole[:3, 3])))
-    return FootGoal(sole, target, _IN_AIR, _OVER_KNEE, False)
-
-
 def _between(y: float, side: int, room: tuple[float, float]) -> float:
     """The place (m, + left) of an ankle that would be at y, and the other one's beside it, in the room that neighbours leave."""
     left, right = room[0] - _HALF_SHOE_M, room[1] - _HALF_SHOE_M
@@ -194,9 +177,7 @@ def foot_goals(seated: SeatContext, root: Matrix, plans: tuple[FootPlan, FootPla
     """
     result = []
     for side, plan in enumerate(plans):
-        if plan.over:
-            result.append(_over_thigh(seated, root, side, plan))
-        elif plan.pedal is not None:
+        if plan.pedal is not None:
             result.append(_on_pedal(seated.person, side, seated.cabin.pedals[plan.pedal], seated.seat.floor_z, plan))
         elif drives(seated.seat, seated.cabin):
             result.append(_beside_pedals(seated, side, plan))

@@ -77,7 +77,13 @@ def sitter(trunk: Trunk, hands: tuple[HandGoal, HandGoal], feet: tuple[FootGoal,
     q = np.clip(q, LOWER, UPPER)
     goals = Goals(q, stiffness, LOWER, UPPER, trunk.root, _ROOT_WEIGHT, *_arrays(rows))
     holds = hands[0].holds_wheel, hands[1].holds_wheel
-    return Sitter(person, seat.slot, goals, q.copy(), trunk.root.copy(), holds, middle=float(seat.design_h_point[1]))
+    middle, crossed = float(seat.design_h_point[1]), _crossed(trunk.root, feet[0].target, feet[1].target)
+    return Sitter(person, seat.slot, goals, q.copy(), trunk.root.copy(), holds, middle=middle, crossed=crossed)
+
+
+def _crossed(root: Matrix, left: Matrix, right: Matrix) -> bool:
+    """Whether the left foot's place is to the right of the right one's, as `vehicle_from_root` (4, 4) faces."""
+    return bool(rp.matmul(root[:3, 1], left[:3, 3] - right[:3, 3]) < 0.0)
 
 
 def given(person: Person, seat: Seat, q: Floats, root: Matrix) -> Sitter:
@@ -105,7 +111,8 @@ def between(
         stiffness[_LEG[side] : _LEG[side] + 6] = _HELD_LIMB
         rows.append(("lr"[side] + "foot", person.rest.soles[side], "", sole, _STAYS))
     goals = Goals(q, stiffness, LOWER, UPPER, root, _ROOT_WEIGHT, *_arrays(rows))
-    return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, "settled", float(seat.design_h_point[1]))
+    middle, crossed = float(seat.design_h_point[1]), _crossed(root, soles[0], soles[1])
+    return Sitter(person, seat.slot, goals, q.copy(), root.copy(), holds, "settled", middle, crossed)
 
 
 def staying(chosen: Sitter, q: Floats, root: Matrix, side: int, holds: tuple[bool, bool]) -> Sitter:

@@ -23,33 +23,31 @@ _KNEES_IN_M = 0.02  # of a child, against those of somebody on a wide cushion
 
 class Stance(NamedTuple):
     """How a passenger's feet stand. share: of passengers with room for it · leans: rad, the farthest of the shin of the one foot
-    and of the other · forward: m, of each from where it would rest · across: m, of each past the middle, None: not crossed ·
-    over: whether the first leg is over the other one's thigh.
+    and of the other · forward: m, of each from where it would rest · across: m, of each past the middle, None: not crossed.
     """
 
     share: float
     leans: tuple[float, float]
     forward: tuple[float, float] = (0.0, 0.0)
     across: float | None = None
-    over: bool = False
 
 
 _BACK = math.radians(21.0)
-# Feet drawn back raise the front of 40 % of thighs, 5 % cross their legs (Reed 2020, UMTRI-2020-2); how both divide is assumed.
+# Feet drawn back raise the front of 40 % of thighs, 5 % cross their legs (Reed 2020, UMTRI-2020-2), of whom more are drawn
+# than find room; how both divide is assumed.
 STANCES: Mapping[str, Stance] = MappingProxyType(
     {
-        "resting": Stance(0.42, (_ON_CUSHION, _ON_CUSHION)),
-        "drawn back": Stance(0.22, (_BACK, _BACK)),
-        "one drawn back": Stance(0.19, (_BACK, _ON_CUSHION)),
-        "one stretched": Stance(0.12, (_ON_CUSHION, _ON_CUSHION), (0.07, -0.07)),
-        "ankles crossed": Stance(0.03, (_ON_CUSHION, _ON_CUSHION), (-0.02, -0.15), 0.045),
-        "thighs crossed": Stance(0.02, (_ON_CUSHION, _ON_CUSHION), over=True),
+        "resting": Stance(0.49, (_ON_CUSHION, _ON_CUSHION)),
+        "drawn back": Stance(0.14, (_BACK, _BACK)),
+        "one drawn back": Stance(0.15, (_BACK, _ON_CUSHION)),
+        "one stretched": Stance(0.11, (_ON_CUSHION, _ON_CUSHION), (0.07, -0.07)),
+        "ankles crossed": Stance(0.11, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
     }
 )
-_ROOMY = frozenset({"ankles crossed", "thighs crossed"})  # not behind another seat, nor beside or opposite somebody
+_ROOMY = frozenset({"ankles crossed"})  # not behind another seat, nor beside or opposite somebody
 _APART, _TOGETHER = 0.20, 0.15  # shares of knees apart and of knees together (assumed)
 _KNEES_APART_M, _KNEES_TOGETHER_M = 0.05, 0.03
-_FORWARD_SIGMA_M, _OUT_SIGMA_M, _BOTH_SIGMA_M = 0.022, 0.014, 0.02
+_FORWARD_SIGMA_M, _OUT_SIGMA_M, _BOTH_SIGMA_M = 0.030, 0.014, 0.02
 _KNEE_SIGMA, _TOE_SIGMA = math.radians(6.0), math.radians(4.0)
 # Drivers (assumed): shares of the foot on the brake, of the left one on the floor, on the clutch, of a left knee that leans out.
 _BRAKING, _OFF_REST, _ON_CLUTCH, _LEANING = 0.25, 0.15, 0.05, 0.15
@@ -87,7 +85,6 @@ def leg_plans(seated: SeatContext, *, rng: np.random.Generator) -> tuple[FootPla
                 _KNEE_SIGMA * float(knees[side]),
                 stance.leans[turn],
                 stance.across,
-                stance.over and turn == 0,
             )
         )
     if seated.on is None:

@@ -40,7 +40,7 @@ _LOWERED = (math.radians(-40.0), math.radians(8.0))  # the same of what is bitte
 _OVER_BUCKLE_M, _BESIDE_CUSHION_M = 0.07, 0.30  # of a palm from a belt's buckle, and of fingertips from the seat's middle
 _ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)  # of a hand that drinks from nothing
 _KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
-_BEHIND_RIM_M, _LEAST_ALONG = 0.02, 0.40  # fingertips that end before the wheel's rim; share of the thigh
+_BEHIND_RIM_M, _LEAST_ALONG = 0.01, 0.50  # fingertips that end before the wheel's rim; share of the thigh
 _BACK_OUT_M = 0.12  # for a whole thigh: hands nearer to the hips would meet, as thighs do
 
 
@@ -344,7 +344,7 @@ class _Shin(HandPlace):
         s, (a, b, _) = trunk.seated, hand.noise
         left = np.array([-s.forward[1], s.forward[0], 0.0])
         below = s.seat.heel_point(s.setting) + (0.30 + 0.03 * b) * _UP + (0.10 - 0.2 * side) * left
-        return _pointing_at(below + 0.04 * a * s.forward, _shoulder(trunk, side), at.REACH_ARM)
+        return _pointing_at(below + (0.04 * a - 0.03) * s.forward, _shoulder(trunk, side), at.REACH_ARM)
 
 
 class _Chest(HandPlace):

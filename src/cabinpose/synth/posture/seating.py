@@ -21,12 +21,13 @@ _KNEE, _KNEE_SPREAD = np.radians(59.0), np.radians(10.0)
 _ELBOW, _ELBOW_SPREAD = np.radians(52.0), np.radians(19.0)
 # The foot against the leg: theirs were 80 to 113 deg, those of 127 drivers 85 to 113 (Wolf 2022); 90 is 0 here.
 _ANKLE, _ANKLE_SPREAD = np.radians(-2.0), np.radians(7.0)
+_BENT_ANKLE, _BENT_SPREAD = np.radians(12.0), np.radians(3.0)  # nobody sits so near that the ankle comes to its limit
 # Who likes to sit far off likes straighter knees and elbows: so many of both spreads for one of a person's taste.
-_TASTE, _TASTE_STEPS, _MOST_TASTE = 1.1, 2, 2.0  # of which whole and half ones are known, so that settings are shared
+_TASTE, _TASTE_STEPS, _MOST_TASTE = 1.3, 2, 2.0  # of which whole and half ones are known, so that settings are shared
 _RECLINE_SPREAD = np.radians(3.0)
 _BELLY_GAP_M, _BELLY_SPREAD_M = 0.10, 0.03  # between the wheel's lower rim and the body
-_THIGH_GAP_M, _THIGH_SPREAD_M = 0.035, 0.012  # between the rim and the thighs
-_MOST_UNEASE = 16.0  # of thighs against the rim: nobody crawls under the wheel, where they would be free
+_THIGH_GAP_M, _THIGH_SPREAD_M = 0.050, 0.012  # between the rim and the thighs
+_MOST_UNEASE = 25.0  # of thighs against the rim: nobody crawls under the wheel, where they would be free
 _PALM_REACH_M = 0.075  # wrist to the rim in the hand
 _HEIGHT_SPREAD_M = 0.02
 _SHORT_M, _TALL_M = 1.50, 1.90  # statures that put the seat at its highest and lowest
@@ -42,8 +43,8 @@ _VARIATION = (0.015, 0.008, np.radians(2.0))  # sigma of fore-aft (m), height (m
 _RECLINED_DEG, _LEANS_FROM = (1.0, 4.0, 12.0), 0.9
 _FULL_REAR = -0.74  # and below it the seat is at the rear end of its travel: 23 %, 92 % behind the middle (the same study)
 _BACKREST_M, _KNEE_M, _RAISED_THIGH = 0.11, 0.10, 0.82  # depth of a backrest; before a knee joint; cosine of a thigh's slope
-# By how much a front seat is moved forward for the knees behind it, at most: drivers hardly move theirs (assumed).
-_MOVED_M = {"driver": 0.04, "front_passenger": 0.15}
+# By how much a front seat is moved forward for the knees behind it, at most: drivers move theirs less (assumed).
+_MOVED_M = {"driver": 0.08, "front_passenger": 0.15}
 
 
 class SeatOffset(NamedTuple):
@@ -209,6 +210,7 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, tast
             ((knee - _KNEE) / _KNEE_SPREAD + _TASTE * taste) ** 2
             + ((elbow - _ELBOW) / _ELBOW_SPREAD + _TASTE * taste) ** 2
             + ((dorsiflexion - _ANKLE) / _ANKLE_SPREAD + _TASTE * taste) ** 2
+            + (np.maximum(dorsiflexion - _BENT_ANKLE, 0.0) / _BENT_SPREAD) ** 2
             + ((place[:, 0] - height) / _HEIGHT_SPREAD_M) ** 2
             + unease(recline)
             + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2

@@ -58,8 +58,9 @@ class Goals(NamedTuple):
 class Sitter(NamedTuple):
     """Somebody for `solve`: q (D,) and root (4, 4) are where the search begins, and are written in place.
 
-    slot: the seat, middle: y of its middle, m · holds: whether the left and right hand are closed around the wheel · stand:
-    whether this one goes to its goals through everything first, has been solved and gives way, or stays.
+    slot: the seat, middle: y of its middle, m · crossed: whether the legs are crossed on purpose · holds: whether the left and
+    right hand are closed around the wheel · stand: whether this one goes to its goals through everything first, has been solved
+    and gives way, or stays.
     """
 
     person: Person
@@ -70,6 +71,7 @@ class Sitter(NamedTuple):
     holds: tuple[bool, bool] = (False, False)
     stand: Stand = "fresh"
     middle: float = 0.0
+    crossed: bool = False
 
 
 class _Mover(NamedTuple):
@@ -158,6 +160,7 @@ def _pairs() -> _TestedPairs:
 
 
 _PAIRS = _pairs()
+_CROSSED_PAIRS = _PAIRS._replace(side=np.zeros_like(_PAIRS.side))  # no limb is pushed back to its own side
 
 
 def solve(sitters: Sequence[Sitter], placed: PlacedField | None, *, free: bool = False) -> list[Left]:
@@ -190,7 +193,8 @@ def solve(sitters: Sequence[Sitter], placed: PlacedField | None, *, free: bool =
             )
         )  # fmt: skip
         missed.append(np.zeros((len(sitter.goals.bone), 2)))
-    found = native.solve_people(people, car, _PAIRS, between=_BETWEEN_M, free=free, missed=missed)
+    pairs = _CROSSED_PAIRS if any(sitter.crossed for sitter in sitters) else _PAIRS
+    found = native.solve_people(people, car, pairs, between=_BETWEEN_M, free=free, missed=missed)
     result = []
     for off, (kind, solid, other, excess) in zip(missed, found, strict=True):
         into = "" if kind == 0 else names[other] if kind == _WITH_CAR else SOLIDS[other]
