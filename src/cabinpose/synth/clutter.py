@@ -26,14 +26,12 @@ CLEAR_M = 0.05  # from the skin of anybody, who has clothes on: nothing is neare
 _LENS_M = 0.15  # nor before a lens
 _STEEPEST = math.radians(28.0)  # of what things lie on
 _PRESSED_M = 0.006  # into what they lie on, where that is curved
-_MIDDLE_VENTS_M, _BESIDE_SCREEN_M, _BAND_M = (
-    0.16,
-    0.21,
-    0.04,
-)  # of the vents beside the screen; a mount; where glass is looked for
+_MIDDLE_VENTS_M, _BESIDE_SCREEN_M = 0.16, 0.21  # from the middle: vents up to there are beside the screen; of a mount
+_BAND_M = 0.04  # about the height at which glass is looked for
+_TWO_CUPS_M = 0.092  # half of a console that has holders beside each other
 _IN_THE_AIR = ("phone_at_vent", "phone_on_screen")  # carried by what they are fastened to
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
-_FLOOR_AHEAD_M = 0.02  # of the heels
+_FLOOR_AHEAD_M = -0.06  # of the heels
 _LYING = axis_rotation("x", 0.5 * math.pi)
 _SPOTS_M = (-0.03, 0.0, 0.03)  # beside the middle of a place
 
@@ -182,18 +180,23 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
     match name:
         case "cup_holder_left" | "cup_holder_right" | "console":
             lever = targets["gear_lever"]
-            x, y = (0.105, 0.0) if name == "console" else (-0.115, 0.043 if name == "cup_holder_left" else -0.043)
-            return np.array((lever[0] + x, y, lever[2] + 0.2))
+            if "centre console" not in parts:
+                return None
+            wide = float(np.abs(parts["centre console"].surface.vertices[:, 1]).max()) > _TWO_CUPS_M
+            y = 0.0 if name == "console" or not wide else 0.043 if name == "cup_holder_left" else -0.043
+            return np.array((lever[0] - (0.27 if name == "console" else 0.115), y, lever[2] + 0.2))
         case "dashboard":
             glove = targets["glovebox"]
             return np.array((0.5 * (glove[0] + high[0]), glove[1] * 0.9, high[2] + 0.1))
         case "under_screen":
-            return np.array((high[0] - 0.10, 0.55 * driver * high[1], high[2] + 0.1))
+            return np.array((high[0] - 0.17, 0.4 * driver * high[1], high[2] + 0.1))
         case "phone_at_vent":
             vents = parts["vents"].surface.vertices
-            middle = vents[np.abs(vents[:, 1]) < _MIDDLE_VENTS_M]
-            rear, height = float(middle[:, 0].min()), 0.5 * float(middle[:, 2].min() + middle[:, 2].max())
-            return np.array((rear - 0.036, 0.077 * driver, height))
+            outer = vents[driver * vents[:, 1] > _MIDDLE_VENTS_M].astype(np.float64)
+            if not len(outer):
+                return None
+            low, top = outer.min(axis=0), outer.max(axis=0)
+            return np.array((low[0] - 0.036, 0.5 * (low[1] + top[1]), 0.5 * (low[2] + top[2]) + 0.02))
         case "phone_on_dash":
             return np.array((targets["infotainment"][0] + 0.10, _BESIDE_SCREEN_M * driver, high[2] + 0.1))
         case "phone_on_screen":
@@ -224,7 +227,7 @@ def _laid(thing: Thing, corners: Floats, where: Floats, yaw: float, place: Place
     turn = rp.matmul(axis_rotation("z", yaw), lying)
     points = apply(transform(turn), thing.surface.vertices.astype(np.float64))
     low, high = points.min(axis=0), points.max(axis=0)
-    x, y = (np.linspace(0.85 * low[i], 0.85 * high[i], 3) for i in (0, 1))
+    x, y = (np.linspace(0.97 * low[i], 0.97 * high[i], 5) for i in (0, 1))
     probes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     heights = _heights(corners, probes + where[:2], float(where[2]))
     if not np.isfinite(heights).all():
