@@ -25,7 +25,7 @@ from cabinpose.synth.validate import Seated
 CLEAR_M = 0.05  # from the skin of anybody, who has clothes on: nothing is nearer
 _LENS_M = 0.15  # nor before a lens
 _STEEPEST = math.radians(28.0)  # of what things lie on
-_PRESSED_M = 0.006  # into what they lie on, where that is curved
+_PRESSED_M = 0.010  # into what they lie on, where that is curved
 _MIDDLE_VENTS_M, _BESIDE_SCREEN_M = 0.16, 0.21  # from the middle: vents up to there are beside the screen; of a mount
 _BAND_M = 0.04  # about the height at which glass is looked for
 _TWO_CUPS_M = 0.092  # half of a console that has holders beside each other
@@ -184,7 +184,7 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
                 return None
             wide = float(np.abs(parts["centre console"].surface.vertices[:, 1]).max()) > _TWO_CUPS_M
             y = 0.0 if name == "console" or not wide else 0.043 if name == "cup_holder_left" else -0.043
-            return np.array((lever[0] - (0.27 if name == "console" else 0.115), y, lever[2] + 0.2))
+            return np.array((lever[0] - (0.33 if name == "console" else 0.115), y, lever[2] + 0.2))
         case "dashboard":
             glove = targets["glovebox"]
             return np.array((0.5 * (glove[0] + high[0]), glove[1] * 0.9, high[2] + 0.1))
