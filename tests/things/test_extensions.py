@@ -31,7 +31,7 @@ BASE = {"cars": ["suv"], "occupancy": {"driver": 1.0, "rear_left": 1.0}}
 
 def things_of(scene: dict[str, object], frames: int, seed: int = 3) -> list[list[tuple[str, str, str]]]:
     """Slot, kind and where of the things of each frame."""
-    sampler = SceneSampler(SynthConfig.parse({"scene": BASE | scene}), seed)
+    sampler = SceneSampler(SynthConfig.parse({"scene": BASE | {"clutter": 0} | scene}), seed)
     scenes = [sampler.sample(n, rng=frame_rng(seed, n)) for n in range(frames)]
     return [[(thing.slot, thing.thing.kind, thing.at) for thing in scene.things] for scene in scenes]
 

@@ -10,6 +10,7 @@ import numpy as np
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import ChangedPreset, place_name
 from cabinpose.synth.casting import Cast, Casting
+from cabinpose.synth.clutter import Lying
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.faces import with_faces
 from cabinpose.synth.furnishing import Furnishing
@@ -17,6 +18,7 @@ from cabinpose.synth.plan import Plan
 from cabinpose.synth.posing import Posing
 from cabinpose.synth.restraints import dressed
 from cabinpose.synth.scene import Attempts, Scene, ScenePerson
+from cabinpose.synth.streams import clutter_rng
 from cabinpose.synth.things import Blocked
 from cabinpose.synth.validate import Rejection, Seated, Verdict
 from cabinpose.synth.viewpoint import Viewpoint, draw_viewpoint, free_viewpoint
@@ -33,6 +35,7 @@ class CarScenes:
         self._faces = {slot: face.face for slot, face in exact.items() if face is not None}
         self._presets = {car.name: car.preset for car in scene.cars if isinstance(car, ChangedPreset)}
         self._casting, self._furnishing = Casting(scene, plan), Furnishing(scene)
+        self._lying = Lying(scene.clutter)
         self._camera, self._plan = config.camera, plan
 
     def draw(self, index: int, attempts: Attempts, *, rng: np.random.Generator) -> Scene | None:
@@ -51,7 +54,11 @@ class CarScenes:
         if viewpoint is None:
             attempts.rejections[Rejection("camera")] += len(people)
             return None
-        return self.assembled(cast, people, posed.seated.wheel_angle, posed.seated.things, viewpoint, rng=rng)
+        things = posed.seated.things
+        if self.scene.lies_about:
+            bodies, eye = [who.posed for who in people], viewpoint.vehicle_from_camera[:3, 3]
+            things += self._lying.about(cast, bodies, posed.seated, eye, rng=clutter_rng(self._plan.seed, index))
+        return self.assembled(cast, people, posed.seated.wheel_angle, things, viewpoint, rng=rng)
 
     def with_faces(self, cast: Cast, people: Iterable[ScenePerson], number: int) -> list[ScenePerson]:
         """The people with what their faces do; number: of the frame, or of the first of a sequence."""

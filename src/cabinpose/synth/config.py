@@ -31,7 +31,7 @@ from cabinpose.core import (
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import BeltMisuse
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
-from cabinpose.scene.things import THINGS, Attachment
+from cabinpose.scene.things import CLUTTER, THINGS, Attachment
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
@@ -153,6 +153,13 @@ class CabinScene(Model):
         description=f"By seat: {', '.join(ON_SEATS)}, any (of these), {', '.join(CLOTH)}, or how likely each is, on the seat or"
         " on the lap of whoever sits there.",
     )
+    clutter: float = Field(
+        1.0,
+        ge=0.0,
+        le=10.0,
+        description="How much lies about in cars, in cup holders, on dashboards and floors: 1 as is usual (assumed), 0: nothing."
+        " In sequences there is none.",
+    )
     in_hand: Probability = Field(
         0.0,
         exclude_if=operator.not_,
@@ -183,8 +190,14 @@ class CabinScene(Model):
     def cloth_labels(self) -> frozenset[str]:
         """The classes of what may be draped over seats and laps."""
         named = {kind for choice in self.objects.values() for kind in weights_of(choice, ())}
-        named |= {thing.kind for thing in self.things}
-        return frozenset(THINGS[kind].label for kind in named if is_cloth(kind))
+        draped = {thing.kind for thing in self.things if thing.where != "car"} | named
+        hung = {"hung_jacket"} if self.lies_about else {thing.kind for thing in self.things} & set(CLUTTER)
+        return frozenset((*(THINGS[k].label for k in draped if is_cloth(k)), *(CLUTTER[k].label for k in hung)))
+
+    @property
+    def lies_about(self) -> bool:
+        """Whether something may lie about."""
+        return self.clutter > 0.0 and self.sequence is None and not self.things
 
     @property
     def brings_things(self) -> bool:
@@ -192,7 +205,7 @@ class CabinScene(Model):
         named = {action for weights in self.motion.values() for action in weights} | {o.action for o in self.occupants.values()}
         # In sequences hands are empty without `in_hand`.
         by_action = self.sequence is None and any(name and ACTIONS[name].in_hand == "always" for name in named)
-        return bool(self.child_seats or self.objects or self.things or self.in_hand or by_action)
+        return bool(self.child_seats or self.objects or self.things or self.in_hand or self.lies_about or by_action)
 
     @model_validator(mode="before")
     @classmethod

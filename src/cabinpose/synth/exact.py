@@ -81,6 +81,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             occupants=occupants,
             occupancy={},
             things=things,
+            clutter=0.0,
             children=drawn.children,
             infants=drawn.infants,
             toddlers=drawn.toddlers,

@@ -13,7 +13,7 @@ from cabinpose.core import OCCUPANT_SLOTS, ConfigError, is_rigid, unknown_name
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import Face, load_faces
 from cabinpose.scene.cabin import BeltWear
-from cabinpose.scene.things import THINGS, Attachment, PlacedThing, make_thing
+from cabinpose.scene.things import CLUTTER, THINGS, Attachment, PlacedThing, make_thing
 from cabinpose.synth.people import Model, Probability
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import Profile, check_within, dof_scale, limits_deg, standing
@@ -92,8 +92,8 @@ class ExactThing(Model):
 
     kind: str
     variant: int = Field(ge=0, description="Which design of its kind.")
-    slot: str = Field(description="The seat on which it is, or of whose occupant it is.")
-    where: Literal["seat", "lap", "hand"]
+    slot: str = Field("", description="The seat on which it is, or of whose occupant it is; of what lies about none.")
+    where: Literal["seat", "lap", "hand", "car"]
     vehicle_from_thing: Matrix4
     attachment: Attachment | None = Field(None, exclude_if=lambda value: value is None)
 
@@ -105,8 +105,9 @@ class ExactThing(Model):
 
     @model_validator(mode="after")
     def _known(self) -> ExactThing:
-        _ = THINGS[self.kind]  # ConfigError for one that does not exist, ExtensionError for one that cannot be loaded
-        if self.slot not in OCCUPANT_SLOTS:
+        if self.kind not in CLUTTER:
+            _ = THINGS[self.kind]  # ConfigError for one that does not exist, ExtensionError for one that cannot be loaded
+        if self.where != "car" and self.slot not in OCCUPANT_SLOTS:
             raise unknown_name("seat", self.slot, OCCUPANT_SLOTS)
         return self
 

@@ -97,8 +97,8 @@ class Scene:
 
     @staticmethod
     def _instance(thing: PlacedThing) -> int:
-        """Of whoever holds a thing or has it on the lap; 0 for what is on a seat."""
-        return 0 if thing.at == "seat" else 1 + OCCUPANT_SLOTS.index(thing.slot)
+        """Of whoever holds a thing or has it on the lap; 0 for what is on a seat or lies about."""
+        return 0 if thing.at in ("seat", "car") else 1 + OCCUPANT_SLOTS.index(thing.slot)
 
 
 class Tried(NamedTuple):

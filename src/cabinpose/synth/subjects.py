@@ -44,6 +44,7 @@ class Subjects:
         self._people, self._seed = people, seed
         self.person = cached_once(32)(self._make_person)
         self.drives = cached_once(1024)(self._old_enough)
+        self._stature_m = cached_once(len(_CHILD_YEARS) * CHILDREN)(self._drawn_stature)
         if like is not None and like._seed == seed and like._people == people:
             self.person = like.person
 
@@ -62,9 +63,12 @@ class Subjects:
     def children(self, stature_m: tuple[float, float], kinds: str = "K") -> list[str]:
         """The children whose stature is in a range, m; kinds: first letters of their names."""
         names = [f"{kind}{number:02d}" for kind in kinds for number in range(CHILDREN)]
-        statures = {name: self.body(name)[0].stature_m or 0.0 for name in names}
+        statures = {name: self._stature_m(name) for name in names}
         low, high = stature_m
         return [name for name, stature in statures.items() if max(low, _LEAST_M.get(name[0], 0.0)) <= stature <= high]
+
+    def _drawn_stature(self, name: str) -> float:
+        return self.body(name)[0].stature_m or 0.0
 
     def _symmetric_body(self, name: str, face: int) -> tuple[Phenotype, Outfit]:
         """face: number of the face of who has none by the name alone."""

@@ -125,7 +125,7 @@ def _crown(z: Floats) -> Floats:
 
 
 def _rear_face(shape: SeatShape, y: Floats, z: Floats) -> Floats:
-    """How far the rear face of a backrest is ahead of its lowest part: it tapers upwards, and seats with a shell leave knees room."""
+    """How far the rear face of a backrest is ahead of its lowest part: it tapers upwards; those with a shell leave knees room."""
     high = shape.back_height + (shape.head_height if shape.headrest == "integral" else 0.0)
     knees = _KNEES_M * rp.exp(-(((z - 0.22) / 0.14) ** 2)) * (1 - (2 * y / shape.width) ** 2) if shape.shell != "box" else 0.0
     return np.asarray(0.030 * smoothstep(z, 0.25, high) + knees)

@@ -220,7 +220,7 @@ def floor(layout: Layout) -> list[Part]:
 
 
 def _mats(layout: Layout) -> list[Solid]:
-    """A mat before each outer seat, whose top is the height on which heels stand; clear of the tunnel, the sills and the rails."""
+    """A mat before each outer seat, its top the height on which heels stand; clear of the tunnel, the sills and the rails."""
     rows = ((layout.h_front, layout.h_front[0] + 0.34, layout.toe_x - 0.01), (layout.h_rear, layout.h_rear[0] + 0.28,
              layout.h_rear[0] + 0.60))  # fmt: skip
     solids = []

@@ -16,6 +16,7 @@ from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, balls
 from cabinpose.scene.contact.triangles import sampled_surface
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.scene.things.child_seats import CHILD_SEAT_LABELS, CHILD_SEATS, ChildSeat, Lying, Sitting
+from cabinpose.scene.things.clutter import CLUTTER
 from cabinpose.scene.things.objects import OBJECTS
 from cabinpose.scene.things.pieces import THINGS, Piece
 
@@ -90,7 +91,10 @@ class Thing:
 @cache
 def make_thing(kind: str, variant: int) -> Thing:
     """The design of this number of a kind of thing; the same object on every call. Raises ConfigError for an unknown kind."""
-    row, design = THINGS[kind], variant % VARIANTS
+    design = variant % VARIANTS
+    if kind in CLUTTER:
+        return Thing(kind, design, CLUTTER[kind].label, CLUTTER[kind].make(design))
+    row = THINGS[kind]
     if row.make is None:
         raise unknown_name("thing", kind, [name for name, each in {**CHILD_SEATS, **OBJECTS}.items() if each.make is not None])
     sitting = row.sitting(design) if isinstance(row, ChildSeat) and row.sitting is not None else None
@@ -102,7 +106,7 @@ Attachment = Literal["isofix", "belt"]
 
 
 class PlacedThing(NamedTuple):
-    """A thing somewhere in a car: on the seat `slot`, on the lap of whoever sits there, or in a hand of theirs.
+    """A thing somewhere in a car: on the seat `slot`, on the lap of whoever sits there, in a hand of theirs, or about in the car.
 
     attachment: what fastens a child seat, where that is said.
     """
@@ -110,7 +114,7 @@ class PlacedThing(NamedTuple):
     thing: Thing
     vehicle_from_thing: Matrix
     slot: str
-    at: Literal["seat", "lap", "hand"]
+    at: Literal["seat", "lap", "hand", "car"]
     attachment: Attachment | None = None
 
     def group(self) -> tuple[GroupField, Matrix]:

@@ -1,0 +1,149 @@
+"""What lies about: closed, where it belongs, as often as stated, never near anybody; people are as they were without."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cabinpose.scene import merge
+from cabinpose.scene.cabin import build_cabin
+from cabinpose.scene.labels import LABEL_ID
+from cabinpose.scene.things import CLUTTER, VARIANTS, make_thing
+from cabinpose.synth import FrameMaker, SynthConfig, exact_config
+from cabinpose.synth.clutter import CLEAR_M, PLACES_OF_CLUTTER, Lying
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.scene import Scene
+from cabinpose.synth.streams import clutter_rng, frame_rng
+
+PLAIN: dict[str, Any] = {
+    "cars": ["sedan", "suv", "city_car"],
+    "occupancy": {"driver": 0.9, "front_passenger": 0.5, "rear_left": 0.3},
+}
+
+
+def scenes(count: int, **scene: Any) -> list[Scene]:
+    sampler = SceneSampler(SynthConfig.parse({"scene": PLAIN | scene}), 0)
+    return [sampler.sample(i, rng=frame_rng(0, i)) for i in range(count)]
+
+
+@pytest.mark.parametrize("kind", CLUTTER)
+def test_each_kind_is_closed_and_of_a_likely_size(kind: str) -> None:
+    for variant in range(VARIANTS):
+        thing = make_thing(kind, variant)
+        assert thing.label in LABEL_ID
+        for part in thing.parts:
+            mesh = trimesh.Trimesh(part.surface.vertices.astype(float), part.surface.faces, process=True)
+            assert mesh.is_watertight, part.name
+            assert mesh.volume > 0.0, part.name
+        size = np.ptp(thing.box, axis=0).max()
+        assert 0.07 < size < (0.85 if kind == "hung_jacket" else 0.32)
+
+
+@pytest.fixture(scope="module")
+def crowded() -> list[Scene]:
+    return scenes(60, clutter=10.0)
+
+
+def test_nothing_that_lies_about_is_in_anybody_or_near(crowded: list[Scene]) -> None:
+    """Exact, of the dressed surfaces: no triangle of either is nearer than a hand's breadth less what clothes take."""
+    kinds: Counter[str] = Counter()
+    for scene in crowded:
+        about = [thing for thing in scene.things if thing.at == "car"]
+        kinds.update(thing.thing.kind for thing in about)
+        for thing in about:
+            mesh = thing.surface(0)
+            solid = trimesh.Trimesh(mesh.vertices.astype(float), mesh.faces, process=False)
+            low, high = solid.bounds
+            for who in scene.people:
+                body = merge(list(who.surfaces[:1]))
+                near = (np.asarray(body.vertices > low - 0.03) & (body.vertices < high + 0.03)).all(axis=1)
+                if near.any():  # clothes come nearer than skin does
+                    points = body.vertices[near].astype(float)
+                    assert trimesh.proximity.closest_point(solid, points)[1].min() > 0.002, (thing.thing.kind, who.slot)
+                skin = trimesh.Trimesh(body.vertices.astype(float), body.faces, process=False)
+                assert not skin.contains(solid.vertices[::5]).any() if near.any() else True
+                gap = np.maximum(np.maximum(low - who.posed.skin, who.posed.skin - high), 0.0).max(axis=1)
+                assert gap.min() >= CLEAR_M - 1e-6
+    assert len(kinds) >= 10
+    assert sum(kinds.values()) > 120
+
+
+def test_things_lie_on_what_carries_them(crowded: list[Scene]) -> None:
+    checked = 0
+    for scene in crowded[:25]:
+        assert scene.cabin is not None
+        parts = {part.name: part.surface for part in scene.cabin.parts}
+        for thing in (t for t in scene.things if t.at == "car" and t.thing.kind in ("papers", "tissues", "ticket", "sunglasses")):
+            underside = thing.surface(0).vertices.astype(float)
+            carriers = [parts[n] for n in ("dashboard", "parcel shelf", "floor mats", "floor") if n in parts]
+            carrier = merge(carriers)
+            mesh = trimesh.Trimesh(carrier.vertices.astype(float), carrier.faces, process=False)
+            assert trimesh.proximity.closest_point(mesh, underside)[1].min() < 0.006, thing.thing.kind
+            assert trimesh.proximity.signed_distance(mesh, underside).max() < 0.012, thing.thing.kind
+            checked += 1
+    assert checked > 10
+
+
+def test_shares_are_those_of_the_table() -> None:
+    """Chi-square of how often each place has something, in an empty car: no one is in the way."""
+    cabin, lying, frames = build_cabin("sedan"), Lying(1.0), 1200
+    cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+    seated: Any = SimpleNamespace(placed=None)
+    far = np.full(3, 100.0)
+    found: Counter[str] = Counter()
+    for index in range(frames):
+        found.update(thing.thing.kind for thing in lying.about(cast, [], seated, far, rng=clutter_rng(3, index)))
+    cup = {name: place.share * place.kinds["cup"] / sum(place.kinds.values()) for name, place in PLACES_OF_CLUTTER.items()
+           if "cup" in place.kinds}  # fmt: skip
+    shares = {
+        "cup": list(cup.values()),
+        "ticket": [PLACES_OF_CLUTTER["under_screen"].share],
+        "hung_jacket": [PLACES_OF_CLUTTER[name].share for name in ("hook_left", "hook_right")],
+    }
+    square = 0.0
+    for kind, each in shares.items():
+        expected, variance = frames * sum(each), frames * sum(p * (1.0 - p) for p in each)
+        square += (found[kind] - expected) ** 2 / variance
+    assert square < 16.27  # 0.1 % of three degrees of freedom
+    twice = Lying(2.0)
+    more = sum(len(twice.about(cast, [], seated, far, rng=clutter_rng(3, index))) for index in range(300))
+    less = sum(len(lying.about(cast, [], seated, far, rng=clutter_rng(3, index))) for index in range(300))
+    assert 1.6 < more / less < 2.2
+
+
+def test_people_are_the_same_with_and_without_and_frames_come_again() -> None:
+    with_it, again, without = scenes(6, clutter=8.0), scenes(6, clutter=8.0), scenes(6, clutter=0.0)
+    for one, same, bare in zip(with_it, again, without, strict=True):
+        assert [(t.thing.kind, t.thing.variant) for t in one.things] == [(t.thing.kind, t.thing.variant) for t in same.things]
+        assert all((a.vehicle_from_thing == b.vehicle_from_thing).all() for a, b in zip(one.things, same.things, strict=True))
+        assert not bare.things
+        assert (one.world_from_camera == bare.world_from_camera).all()
+        for who, other in zip(one.people, bare.people, strict=True):
+            assert (who.posed.skin == other.posed.skin).all()
+            assert all((a.vertices == b.vertices).all() for a, b in zip(who.surfaces, other.surfaces, strict=True))
+
+
+def test_a_frame_written_out_comes_again_with_all_that_lies_about() -> None:
+    config = SynthConfig.parse({"scene": PLAIN | {"clutter": 10.0}})
+    frame, scene = FrameMaker(config, 0).make(2)
+    assert any(thing.at == "car" for thing in scene.things)
+    same, shown = FrameMaker(exact_config(config, 0, 2), 0).make(2)
+    assert [t.thing.kind for t in shown.things] == [t.thing.kind for t in scene.things]
+    assert (same["depth_clean"] == frame["depth_clean"]).all()
+    assert (same["labels"] == frame["labels"]).all()
+    things = {LABEL_ID[t.thing.label] for t in scene.things}
+    assert things & set(np.unique(frame["labels"]).tolist())
+    assert (frame["instance"][frame["labels"] >= LABEL_ID["infant_seat"]] == 0).all()
+
+
+def test_none_lies_about_in_sequences_and_where_nothing_is_asked_for() -> None:
+    assert not SynthConfig.parse({"scene": {"sequence": {"frames": 2}}}).scene.lies_about
+    assert not SynthConfig.parse({"scene": {"clutter": 0}}).scene.brings_things
+    assert SynthConfig.parse({}).scene.lies_about
+    assert math.isclose(sum(place.share for place in PLACES_OF_CLUTTER.values()), 0.95)
