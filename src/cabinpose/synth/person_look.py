@@ -14,10 +14,13 @@ from cabinpose.core import Bools, Bytes, Floats
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIAL_ID as MATERIAL
-from cabinpose.scene.body import Person
+from cabinpose.scene.body import PLACES, Person
 from cabinpose.synth.streams import own_rng, weighted
 
-WORN = ("skin", "hair", "top", "bottom", "shoes", "socks", "headwear", "top_print", "bottom_print")
+WORN = (
+    "skin", "hair", "top", "bottom", "shoes", "socks", "headwear", "top_print", "bottom_print",
+    "inner", "scarf", "gloves", "mask",
+)  # fmt: skip
 """Surfaces of a person that have a colour, and a reflectance, of their own."""
 NOT_WORN = 255  # of soles, glasses, eyes and mouths, which are of their material
 
@@ -45,12 +48,15 @@ _JEANS = (0x2B3A52, 0x3D5472, 0x5C7898, 0x1C2230)
 _SHOES = (0xE4E2DD, 0x1A1A1C, 0x55585C, 0x7C2B2B, 0x2C3B58)
 _LEATHER_SHOES = (0x17130F, 0x3A2416, 0x5B3A22)
 _CAPS = (0x1F2329, 0x7A2226, 0x22365A, 0xC8C3B6, 0x44503C)
+_SCARVES = (0x7A2226, 0x2B3A55, 0x8A8F98, 0xB08A3A, 0x2E4A3A, 0xD8D2C6, 0x4F3B5C)
+_GLOVES = (0x17181B, 0x3A2A22, 0x4C4A46, 0x6D2230)
+_MASKS = (0x8FBFD6, 0xE6E8EA, 0x17181B)
 _SOCKS = (0xDAD8D2, 0x202124, 0x3A4250)
 _PRINTS = (0x141414, 0x1A1B1F, 0x23262B, 0xE8E6E0, 0xB55A3C, 0x3F5F86, 0x2E4A3A, 0xD3B04A)
 # What is printed or woven into clothes: upper bounds of a number from 0 to 1 (shares assumed).
 _TOP_PATTERNS = (("", 0.70), ("stripes", 0.88), ("checks", 1.0))
 _BOTTOM_PATTERNS = (("", 0.92), ("checks", 1.0))
-_PRINTED = ("t_shirt", "long_sleeve", "jumper", "trousers", "shorts")
+_PRINTED = ("t_shirt", "long_sleeve", "shirt", "jumper", "trousers", "shorts", "skirt", "long_skirt")
 _STRIPE_M, _CHECK_M = 0.04, 0.05
 _CLOTH = tuple(MATERIAL[name] for name in ("cotton", "denim", "wool", "synthetic_fabric"))
 _PLACE = np.full(256, NOT_WORN, np.uint8)  # of a material, where nothing else tells
@@ -98,6 +104,9 @@ def look_of(person: Person, seed: int, subject: str) -> PersonLook:
         "shoes": _SHOES if outfit.shoes == "trainers" else _LEATHER_SHOES, "headwear": _CAPS, "socks": _SOCKS,
     }  # fmt: skip
     colours = {name: linear(int(rng.choice(table))) for name, table in palettes.items()}
+    more = own_rng(seed, f"small clothes of {subject}")
+    for name, table in {"inner": TOPS, "scarf": _SCARVES, "gloves": _GLOVES, "mask": _MASKS}.items():
+        colours[name] = linear(int(more.choice(table)))
     u = prints.random(5)
     dyed = grey > _DYES_FROM and u[0] < _DYED[0] + gender * (_DYED[1] - _DYED[0])
     natural = linear(colour)
@@ -122,6 +131,8 @@ def worn_faces(person: Person, look: PersonLook) -> Bytes:
     place[below] = WORN.index("shoes" if person.outfit.shoes != "none" else "socks")
     place[below & (dressed.material == MATERIAL["cotton"])] = WORN.index("socks")
     place[dressed.label == LABEL["headwear"]] = WORN.index("headwear")
+    for number, name in enumerate(PLACES[1:], start=1):
+        place[dressed.worn == number] = WORN.index(name)
     for part, pattern in look.patterns.items():
         if pattern:
             of = np.flatnonzero(place == WORN.index(part))

@@ -83,13 +83,13 @@ class Subjects:
             if population is None or not population.has(years):
                 population = load_population("nhanes" if years >= SEATED_YEARS else "cdc")
             body = replace(Phenotype.of_size(population.draw(rng=rng, years=(years, years)), rng=rng), face=face)
-            return body, _suited(Outfit.random(rng=rng, hair=hair_shares(body.gender, body.years)), body)
+            return body, _suited(Outfit.random(rng=rng, hair=hair_shares(body.gender, body.years), gender=body.gender), body)
         crowd = self._people.random
         if crowd is None or not name.startswith("R"):
             raise unknown_name("subject", name, self._people.names)
         rng = frame_rng(self._seed, PEOPLE_STREAM - int(name[1:]))
         phenotype = replace(crowd.draw(rng=rng), face=face)
-        return phenotype, _suited(Outfit.random(rng=rng, hair=hair_shares(phenotype.gender, phenotype.years)), phenotype)
+        return phenotype, _suited(Outfit.random(rng=rng, hair=hair_shares(phenotype.gender, phenotype.years), gender=phenotype.gender), phenotype)
 
     def _old_enough(self, name: str) -> bool:
         """Whether somebody drives in this dataset."""
@@ -116,7 +116,7 @@ def _suited(outfit: Outfit, phenotype: Phenotype) -> Outfit:
     """The outfit with the beard and baldness of men alone, and what infants wear."""
     grown_man = phenotype.gender < 0.5 and phenotype.years >= _BEARD_YEARS
     if phenotype.years < SEATED_YEARS:
-        outfit = replace(outfit, glasses=False)
+        outfit = replace(outfit, glasses="none", mask=False)
     if phenotype.years < _WALKS_YEARS:  # in a romper suit, socks and little hair
         bottom = "trousers" if outfit.bottom == "jeans" else outfit.bottom
         outfit = replace(outfit, beard=False, bottom=bottom, shoes="none", hair="short")
