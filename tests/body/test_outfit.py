@@ -15,7 +15,7 @@ from cabinpose.scene.body.accessories import accessories, bun, hanging_hair
 from cabinpose.scene.body.chart import load_chart, vertex_segments
 from cabinpose.scene.body.coverage import borders
 from cabinpose.scene.body.folds import seen_chart
-from cabinpose.scene.body.garments import Layer, layer
+from cabinpose.scene.body.garments import BOTTOMS, TOPS, Layer, layer
 from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space

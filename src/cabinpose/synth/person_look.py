@@ -89,8 +89,9 @@ def linear(srgb: int) -> Floats:
 
 def look_of(person: Person, seed: int, subject: str) -> PersonLook:
     """How somebody looks in the dataset of a seed."""
-    rng, prints = own_rng(seed, subject), own_rng(seed, f"prints of {subject}")
     outfit, gender = person.outfit, person.phenotype.gender
+    wearer = f"{subject} in outfit {outfit.number}" if outfit.number else subject
+    rng, prints = own_rng(seed, subject), own_rng(seed, f"prints of {wearer}")
     tone = rng.uniform(0.0, len(_SKIN) - 1.0)
     tones = 0.02 + _SKIN_GAIN * np.array([linear(c) for c in _SKIN])
     skin = np.array([np.interp(tone, np.arange(len(_SKIN)), tones[:, k]) for k in range(3)]) * _BLOOD
@@ -103,12 +104,13 @@ def look_of(person: Person, seed: int, subject: str) -> PersonLook:
         "top": TOPS, "bottom": _JEANS if outfit.bottom == "jeans" else _BOTTOMS,
         "shoes": _SHOES if outfit.shoes == "trainers" else _LEATHER_SHOES, "headwear": _CAPS, "socks": _SOCKS,
     }  # fmt: skip
-    colours = {name: linear(int(rng.choice(table))) for name, table in palettes.items()}
-    more = own_rng(seed, f"small clothes of {subject}")
+    dyes = own_rng(seed, wearer) if outfit.number else rng
+    colours = {name: linear(int(dyes.choice(table))) for name, table in palettes.items()}
+    more = own_rng(seed, f"small clothes of {wearer}")
     for name, table in {"inner": TOPS, "scarf": _SCARVES, "gloves": _GLOVES, "mask": _MASKS}.items():
         colours[name] = linear(int(more.choice(table)))
     u = prints.random(5)
-    dyed = grey > _DYES_FROM and u[0] < _DYED[0] + gender * (_DYED[1] - _DYED[0])
+    dyed = grey > _DYES_FROM and own_rng(seed, f"prints of {subject}").random() < _DYED[0] + gender * (_DYED[1] - _DYED[0])
     natural = linear(colour)
     hair = natural if dyed else natural + grey * (linear(_GREY_HAIR) - natural)
     printed = {f"{part}_print": linear(_PRINTS[int(u[k] * len(_PRINTS))]) for k, part in ((1, "top"), (2, "bottom"))}

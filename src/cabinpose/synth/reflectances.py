@@ -96,6 +96,9 @@ class Reflectances:
         wears, ranks, kinds = worn(person.outfit), rng.random(_FIRST), rng.random(_FIRST)
         more = own_rng(self._seed, f"near infrared of small clothes of {subject}").random((2, len(WORN) - _FIRST))
         ranks, kinds = (np.concatenate(both) for both in ((ranks, more[0]), (kinds, more[1])))
+        if number := person.outfit.number:  # clothes of its own, on the same skin and hair
+            other = own_rng(self._seed, f"near infrared of {subject} in outfit {number}").random((2, len(WORN)))
+            ranks[2:], kinds[2:] = other[0, 2:], other[1, 2:]
         look = look_of(person, self._seed, subject)
         material = dict.fromkeys(WORN, "cotton") | {"skin": "skin", "hair": "hair", "scarf": "wool", "gloves": "wool"}
         material["mask"] = "synthetic_fabric"

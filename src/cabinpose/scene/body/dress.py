@@ -143,7 +143,7 @@ def worn(outfit: Outfit) -> dict[str, tuple[str, str]]:
     def place(name: str, material: str) -> tuple[str, str]:
         return (name, "" if name == "none" else material)
 
-    bottoms = {name: row.material for name, row in (*BOTTOMS.items(), *HANGING.items())}
+    bottoms = {name: cut.material for name, cut in BOTTOMS.items()} | {name: row.material for name, row in HANGING.items()}
     top = place(outfit.top, TOPS[outfit.top].material if outfit.top in TOPS else "")
     beside = [name for name in ("scarf", "gloves") if getattr(outfit, name)]
     return {

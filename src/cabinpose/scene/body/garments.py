@@ -217,7 +217,9 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
         regions.append(Region(cut.inside["socks"], "cotton"))
     if outfit.headwear in COVERING_HAIR:
         outfit = replace(outfit, hair="bald" if outfit.hair == "bald" else "short")
-    evened = np.max([_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * (outfit.headwear == "cap")], axis=0)
+    evened = np.max(
+        [_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * (outfit.headwear == "cap")], axis=0
+    )
     draped, depth = _relaxed(skin, np.float32(0.6) * evened.astype(np.float32), _EVENING), np.zeros(len(bare))
     head, (moved, normals) = draped, _refined(draped)
     if outfit.gloves:
@@ -247,7 +249,9 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
         if name == "open_jacket":  # between its fronts shows what is worn under it
             gap = opening()
             outer += step(gap, 0.0, 0.02) * (np.minimum(outer, _SHIRT_M) - outer)
-            shirt = cut.inside[border] & ((gap + 0.03 * step(-seen_chart().up, -0.78, 0.1))[cut.faces].mean(axis=1) > 0.0)  # its border lies under the fronts
+            shirt = cut.inside[border] & (
+                (gap + 0.03 * step(-seen_chart().up, -0.78, 0.1))[cut.faces].mean(axis=1) > 0.0
+            )  # its border lies under the fronts
             regions.append(Region(shirt, "cotton", None, "inner"))
         depth = np.maximum(depth, outer)
         share = mask.astype(np.float32)[:, None]
@@ -276,12 +280,16 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     return Layer(moved.astype(np.float32), bare, tuple(regions))
 
 
+def half_opening(up: Floats) -> Floats:
+    """From the middle to the edge of an open jacket's front, m on the average adult; up: of the chart."""
+    return np.asarray(np.interp(up, (0.0, 0.5, 0.85, 1.05), (0.085, 0.062, 0.050, 0.034)))
+
+
 @cache
 def opening() -> Floats:
     """(V + N,) m from the edges of an open jacket's fronts, positive between them."""
     c = seen_chart()
-    half = np.interp(c.up, (0.0, 0.5, 0.85, 1.0), (0.085, 0.062, 0.050, 0.060))
-    return np.asarray(np.where((c.rest[:, 0] > 0.0) & (c.arm < 0.3), half - np.abs(c.rest[:, 1]), -0.1))
+    return np.asarray(np.where((c.rest[:, 0] > 0.0) & (c.arm < 0.3), half_opening(c.up) - np.abs(c.rest[:, 1]), -0.1))
 
 
 def _hair(outfit: Outfit, regions: list[Region]) -> Floats:

@@ -1,4 +1,4 @@
-"""What is worn on and about the head: beanie, brimmed hat, headscarf, hood, face mask. Each is cloth draped over head and hair."""
+"""What is worn on the head: beanie, brimmed hat, headscarf, hood, face mask. Each is cloth draped over head and hair."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ROUND = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
 
 
 class Head(NamedTuple):
-    """A head at rest: cloud of its surface with hair and neck, eyes and neck (3,) m, of a head `size` times the average adult's."""
+    """A head at rest: cloud of it with hair and neck, eyes and neck (3,) m; of `size` times the average adult's."""
 
     cloud: Cloud
     eyes: Floats
@@ -42,7 +42,7 @@ def beanie(head: Head) -> list[Accessory]:
     rows = 18
     edge = np.zeros((rows, 1))
     edge[:5, 0] = (0.003, 0.006, 0.006, 0.005, 0.001)
-    crown = 0.012 * np.linspace(0.0, 1.0, rows)[:, None] ** 3  # stands up a little
+    crown = 0.012 * rp.power(np.linspace(0.0, 1.0, rows)[:, None], 3.0)  # stands up a little
     ribs = 0.0008 * rp.cos(24 * _ROUND)
     made = _dome(head, rim, 0.004 + edge + crown + ribs, rows)
     return [made.cloth(0.004, "wool", "headwear", closed=True, label="headwear")]
@@ -51,14 +51,14 @@ def beanie(head: Head) -> list[Accessory]:
 def hat(head: Head) -> list[Accessory]:
     """A hat with a crown and a brim all round."""
     rim, rows = np.radians(26.0 + 6.0 * rp.cos(_ROUND)), 14
-    crown = 0.004 + 0.022 * np.linspace(0.0, 1.0, rows)[:, None] ** 0.5
+    crown = 0.004 + 0.022 * rp.power(np.linspace(0.0, 1.0, rows)[:, None], 0.5)
     made = _dome(head, rim, crown + np.zeros(len(_ROUND)), rows)
     out = np.linspace(1.0, 0.0, 5)[:, None, None]
     flat = made.outwards[:1] * (1.0, 1.0, 0.0)
     flat = flat / np.maximum(rp.hypot(flat[..., 0], flat[..., 1]), 1e-9)[..., None]
     sides = np.abs(rp.sin(_ROUND))
     brim = made.points[:1] + flat * out * 0.062 * head.size
-    brim[..., 2] += out[..., 0] ** 2 * head.size * (0.014 * sides**4 - 0.008 * (1 - sides))
+    brim[..., 2] += out[..., 0] ** 2 * head.size * (0.014 * rp.power(sides, 4.0) - 0.008 * (1 - sides))
     n = len(brim) - 1
     upright = np.broadcast_to((0.0, 0.0, 1.0), (n, len(_ROUND), 3))
     whole = Draped(
@@ -78,7 +78,9 @@ def _wrapped(head: Head, opening: tuple[float, float, float, float, float], ends
     wide, high, middle, brow, chin = (head.size * value for value in opening)
     share = np.linspace(0.0, 1.0, len(off))[:, None]
     lean = (0.5 + 0.5 * rp.cos(_ROUND))[:, None]  # 1 at the brow, 0 at the chin
-    edge = np.stack([chin + lean[:, 0] * (brow - chin), wide * rp.sin(_ROUND), middle + high * rp.cos(_ROUND)], axis=1) + head.eyes
+    edge = (
+        np.stack([chin + lean[:, 0] * (brow - chin), wide * rp.sin(_ROUND), middle + high * rp.cos(_ROUND)], axis=1) + head.eyes
+    )
     # Seen from the skull above, from the neck below; further on from the neck's root and level.
     start = head.middle + (1 - lean) * (head.neck + head.size * np.array((0.012, 0.0, 0.035)) - head.middle)
     end = head.neck + head.size * np.array((0.010, 0.0, 0.0)) - (ends[0] + (ends[1] - ends[0]) * lean) * (0.0, 0.0, 1.0)
@@ -87,7 +89,9 @@ def _wrapped(head: Head, opening: tuple[float, float, float, float, float], ends
     last = np.stack([-rp.cos(_ROUND), rp.sin(_ROUND), 0.0 * _ROUND], axis=1)
     angle = rp.arccos(np.clip(np.einsum("ij,ij->i", first, last), -0.98, 0.9999))
     along = np.clip(share / 0.6, 0.0, 1.0)
-    direction = (rp.sin((1 - along) * angle)[..., None] * first + rp.sin(along * angle)[..., None] * last) / rp.sin(angle)[:, None]
+    direction = (rp.sin((1 - along) * angle)[..., None] * first + rp.sin(along * angle)[..., None] * last) / rp.sin(angle)[
+        :, None
+    ]
     down = np.clip((share - 0.5 * lean[:, 0]) / (1 - 0.5 * lean[:, 0]), 0.0, 1.0)[..., None]
     return drape(head.cloud, start + down * (end - start), direction, ball=0.035 * head.size, off=off, sweeps=8, closed=True)
 
@@ -117,7 +121,7 @@ def mask(head: Head, ear: float) -> list[Accessory]:
     rows, columns = 12, 25
     share, across = np.linspace(0.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
     azimuth = np.radians(62.0 - 6.0 * share) * across
-    top = -0.030 + 0.006 * np.abs(across) ** 2 * -2.0
+    top = -0.030 + -0.012 * across**2
     z = head.size * (top + share * (-0.128 - top + 0.022 * across**2))
     start = head.eyes + head.size * np.array((-0.055, 0.0, 0.0)) + np.zeros((rows, columns, 3))
     start[..., 2] += z

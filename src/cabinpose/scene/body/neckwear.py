@@ -30,7 +30,9 @@ class Neck(NamedTuple):
 def _about(neck: Neck, height: Floats, angle: Floats, off: Floats | float, *, closed: bool, sweeps: int = 3) -> Draped:
     """Cloth about the neck at heights (n, 1) or (n, m) m over its root, in directions (m,) rad."""
     height = height + np.zeros((height.shape[0], len(angle)))
-    direction = np.stack([rp.cos(angle) + 0.0 * height, rp.sin(angle) + 0.0 * height, -0.30 * rp.cos(angle) + 0.0 * height], axis=2)
+    direction = np.stack(
+        [rp.cos(angle) + 0.0 * height, rp.sin(angle) + 0.0 * height, -0.30 * rp.cos(angle) + 0.0 * height], axis=2
+    )
     origin = neck.root + height[..., None] * neck.tilted
     return drape(neck.cloud, origin, direction, ball=0.025 * neck.size, off=off, sweeps=sweeps, closed=closed)
 
@@ -41,8 +43,8 @@ def _folded(neck: Neck, angle: Floats, out: Floats, up: Floats) -> Draped:
     out, up = (neck.size * each + np.zeros((len(out), len(angle))) for each in (out, up))
     points = path.points + path.outwards * out[..., None] + neck.tilted * up[..., None]
     rows = len(out)
-    weights, label = (np.repeat(each, rows, axis=0) for each in (path.weights, path.label))
-    return Draped(points, np.repeat(path.outwards, rows, axis=0), weights, label)
+    outwards, weights = np.repeat(path.outwards, rows, axis=0), np.repeat(path.weights, rows, axis=0)
+    return Draped(points, outwards, weights, np.repeat(path.label, rows, axis=0))
 
 
 def shirt_collar(neck: Neck) -> list[Accessory]:
@@ -59,7 +61,11 @@ def stand_collar(neck: Neck) -> list[Accessory]:
     """A collar that stands up about the whole neck."""
     rows = np.linspace(-0.06, 0.018, 9)[:, None]
     bulge = 0.006 + 0.003 * rp.sin(90.0 * rows) + np.clip(-rows - 0.03, 0, None) * 0.3
-    return [_folded(neck, _ROUND, bulge, rows * (1 - 0.45 * np.clip(rp.cos(_ROUND), 0, 1))).cloth(0.004, "wool", "top", closed=True)]
+    return [
+        _folded(
+            neck, _ROUND, bulge, rows * (1 - 0.45 * np.clip(rp.cos(_ROUND), 0, 1) + 0.4 * np.clip(-rp.cos(_ROUND), 0, 1))
+        ).cloth(0.004, "wool", "top", closed=True)
+    ]
 
 
 def _roll(path: Draped, across: Floats, up: Floats, half: Floats) -> Floats:
@@ -86,9 +92,9 @@ def hood_down(neck: Neck) -> list[Accessory]:
     """A hood that hangs down behind: a bag of cloth on the back, its edges run to the throat."""
     behind = 0.5 - 0.5 * rp.cos(_ROUND)
     path = _about(neck, (0.016 + 0.018 * rp.sin(_ROUND) ** 2)[None] * neck.size, _ROUND, 0.0, closed=True)
-    half = neck.size * np.stack([0.004 + 0.024 * behind**2, 0.006 + 0.056 * behind**3], axis=1)
-    up = np.stack([0.55 * behind**2 * -rp.cos(_ROUND) * -1.0, 0.0 * behind, 1.0 + 0.0 * behind], axis=1)
-    return [_rolled(path, half, up, neck.size * 0.045 * behind**3, "cotton", "top")]
+    half = neck.size * np.stack([0.004 + 0.024 * behind**2, 0.006 + 0.056 * rp.power(behind, 3.0)], axis=1)
+    up = np.stack([0.55 * behind**2 * rp.cos(_ROUND), 0.0 * behind, 1.0 + 0.0 * behind], axis=1)
+    return [_rolled(path, half, up, neck.size * 0.045 * rp.power(behind, 3.0), "cotton", "top")]
 
 
 def scarf(neck: Neck) -> list[Accessory]:

@@ -70,7 +70,8 @@ def hair_shares(gender: float, years: float) -> Mapping[Hair, float]:
 class Outfit:
     """Clothing, hair and accessories of one person.
 
-    fit: 0 close, 1 loose · folds: number of the pattern of folds. Raises ConfigError for names that do not exist.
+    fit: 0 close, 1 loose · folds: number of the pattern of folds · number: which of the person's outfits it is, each with
+    colours of its own. Raises ConfigError for names that do not exist.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")  # where it is part of a configuration
@@ -87,6 +88,7 @@ class Outfit:
     mask: bool = False
     fit: float = 0.5
     folds: int = 0
+    number: int = 0
 
     def __post_init__(self) -> None:
         for kind, known in _CHOICES.items():
@@ -100,8 +102,8 @@ class Outfit:
     def random(cls, *, rng: np.random.Generator, hair: Mapping[Hair, float] = _HAIR, gender: float = 0.5) -> Outfit:
         """An everyday outfit; the same number of draws whatever comes out.
 
-        hair: how common each style is · gender: 0 male to 1 female. Coats, scarves, gloves and beanies are worn together, in the cold
-        season. Shares are assumed.
+        hair: how common each style is · gender: 0 male to 1 female. Coats, scarves, gloves and beanies go
+        together, worn in the cold season. Shares are assumed.
         """
         u, folds = rng.random(8), int(rng.integers(1 << 16))
         cold, cut, legs, head, *small = rng.random(8).tolist()
@@ -112,7 +114,8 @@ class Outfit:
         bottom = _pick(legs, {kind: gender * share for kind, share in HANGING_SHARES.items()} | {bottom: 1 - gender * _HANGS})
         if bottom == "dress" and top not in OVER_DRESSES:
             bottom = "skirt"
-        worn = HEADWEAR_SHARES[season] | {"headscarf": gender * HEADSCARF, "hood": HOOD_UP if top == "hoodie" else 0.0}
+        up = HOOD_UP if top == "hoodie" else 0.0
+        worn: dict[Headwear, float] = dict(HEADWEAR_SHARES[season]) | {"headscarf": gender * HEADSCARF, "hood": up}
         headwear = _pick(head, worn | {"none": 1.0 - sum(worn.values())})
         if u[5] < _CAP and headwear == "none":
             headwear = "cap"
@@ -125,8 +128,8 @@ class Outfit:
 
     def redressed(self, other: Outfit) -> Outfit:
         """The clothes of another outfit on the same person, who keeps hair, beard, sight, and a headscarf if it is worn."""
-        clear = "clear" if self.glasses == "clear" else "none"
-        glasses = other.glasses if other.glasses == "sun" else clear
+        clear: Glasses = "clear" if self.glasses == "clear" else "none"
+        glasses: Glasses = other.glasses if other.glasses == "sun" else clear
         if self.headwear == "headscarf":
             other = replace(other, headwear="headscarf", scarf=False)
         elif other.headwear == "headscarf":

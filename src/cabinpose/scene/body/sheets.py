@@ -95,7 +95,6 @@ def outward(vertices: Floats, faces: Ints32) -> Ints32:
     return faces if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else np.ascontiguousarray(faces[:, ::-1])
 
 
-
 def rod(a: Floats, b: Floats, radius: float, label: str = "glasses", material: str = "hard_plastic") -> Accessory:
     """A square bar from a to b, on the head."""
     along = (b - a) / rp.norm(b - a)
@@ -199,8 +198,8 @@ def drape(
 ) -> Draped:
     """Cloth (n, m) on rays from `origin` along `direction` (n, m, 3), stretched over a cloud.
 
-    A ball of radius `ball` m that rolls on the cloud bridges what lies between its points · off: distance from it, m, (n, m) or one
-    number · sweeps: how far it is pulled taut.
+    ball: radius, m, of one that rolls on the cloud and bridges what lies between its points · off: distance from it, m,
+    (n, m) or one number · sweeps: how far it is pulled taut.
     """
     length = rp.power(np.einsum("ijk,ijk->ij", direction, direction), 0.5)
     direction = direction / length[..., None]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cabinpose.core import Floats
+from cabinpose.core import Bytes, Floats
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.folds import seen_chart
@@ -17,7 +17,11 @@ _ROWS, _COLUMNS, _NEAR_M = 26, 56, 0.03
 
 @dataclass(frozen=True)
 class Hanging:
-    """A garment about both legs: ends along the leg and up the trunk in units of the chart, flare (m/m), half the gap before (rad)."""
+    """A garment about both legs.
+
+    waist, end: where it begins up the trunk and ends along the leg, units of the chart · flare: m/m · gap: half of it, in front,
+    rad · thick: m · worn: of `sheets.PLACES`.
+    """
 
     waist: float
     end: float
@@ -69,7 +73,7 @@ def hanging(kind: str, cloud: Cloud, heads: tuple[Floats, Floats, Floats], folds
     return made.cloth(row.thick, row.material, row.worn, closed=row.gap == 0)
 
 
-def _two_legs(cloud: Cloud, at: Floats, aside: float) -> tuple[Floats, Floats]:
+def _two_legs(cloud: Cloud, at: Floats, aside: float) -> tuple[Floats, Bytes]:
     """Weights and labels of cloth at (n, m, 3) m: those of both legs' nearest points, by how far it is from each leg's middle."""
     share = np.clip(0.5 + at[..., 1] / (2.0 * aside), 0.0, 1.0)
     share = share * share * (3 - 2 * share)
@@ -77,8 +81,11 @@ def _two_legs(cloud: Cloud, at: Floats, aside: float) -> tuple[Floats, Floats]:
     for side in (1.0, -1.0):
         own = cloud.where(cloud.points[:, 1] * side >= 0)
         flat = at.reshape(-1, 3)
-        target = flat * (1.0, 0.0, 1.0) + np.stack([0.0 * flat[:, 0], side * np.maximum(flat[:, 1] * side, 0.4 * aside), 0.0 * flat[:, 0]], 1)
-        far = sum((own.points[None, :, k] - target[:, None, k]) ** 2 for k in range(3))
+        target = flat * (1.0, 0.0, 1.0) + np.stack(
+            [0.0 * flat[:, 0], side * np.maximum(flat[:, 1] * side, 0.4 * aside), 0.0 * flat[:, 0]], 1
+        )
+        away = own.points[None] - target[:, None]
+        far = np.einsum("ijk,ijk->ij", away, away)
         found[side] = bound(own.vertex[far.argmin(axis=1)], at.shape[:2], 10, closed=True)
     weights = share[..., None] * found[1.0][0] + (1 - share)[..., None] * found[-1.0][0]
-    return weights, np.where(share > 0.5, found[1.0][1], found[-1.0][1])
+    return weights, np.where(share > 0.5, found[1.0][1], found[-1.0][1]).astype(np.uint8)

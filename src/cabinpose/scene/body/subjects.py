@@ -36,8 +36,14 @@ _ROWS: tuple[tuple[tuple[float, float, float, float, float, float, float], Outfi
     ((1.0, 0.65, 0.10, 0.95, 0.44, 0.5, 1.640), Outfit("long_sleeve", "jeans", "trainers", "medium", fit=0.4, folds=9)),
     ((0.0, 0.45, 0.85, 0.55, 0.46, 0.1, 1.830), Outfit("t_shirt", "shorts", "trainers", "short", fit=0.2, folds=10)),
     ((1.0, 0.48, 0.60, 0.30, 0.47, 0.1, 1.720), Outfit("t_shirt", "jeans", "trainers", "bun", fit=0.2, folds=11)),
-    ((0.0, 0.40, 0.35, 0.25, 0.47, 0.4, 1.760), Outfit("jumper", "jeans", "trainers", "medium", headwear="cap", fit=0.9, folds=12)),
-    ((0.0, 0.80, 0.35, 0.80, 0.45, 0.4, 1.730), Outfit("jacket", "jeans", "leather", "short", beard=True, headwear="cap", folds=13)),
+    (
+        (0.0, 0.40, 0.35, 0.25, 0.47, 0.4, 1.760),
+        Outfit("jumper", "jeans", "trainers", "medium", headwear="cap", fit=0.9, folds=12),
+    ),
+    (
+        (0.0, 0.80, 0.35, 0.80, 0.45, 0.4, 1.730),
+        Outfit("jacket", "jeans", "leather", "short", beard=True, headwear="cap", folds=13),
+    ),
     ((1.0, 0.80, 0.25, 0.75, 0.44, 0.4, 1.600), Outfit("jacket", "trousers", "leather", "medium", fit=0.5, folds=14)),
     ((1.0, 0.38, 0.30, 0.60, 0.45, 0.2, 1.660), Outfit("t_shirt", "shorts", "trainers", "long", fit=0.4, folds=15)),
     ((0.0, 0.60, 0.45, 0.90, 0.44, 0.3, 1.680), Outfit("long_sleeve", "trousers", "trainers", "bald", beard=True, folds=16)),

@@ -8,6 +8,7 @@ from cabinpose.core import Floats, Floats32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.folds import seen_chart
+from cabinpose.scene.body.garments import half_opening
 from cabinpose.scene.body.headgear import Head, beanie, hat, headscarf, hood, mask
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.neckwear import Neck, hood_down, scarf, shirt_collar, stand_collar
@@ -18,10 +19,18 @@ from cabinpose.scene.body.skirts import HANGING, hanging
 
 _HEAD_M = 0.116  # height of the average adult's head over the eyes
 _ON_HEADS = {"beanie": beanie, "hat": hat, "headscarf": headscarf, "hood": hood}
-_AT_NECKS = {"shirt": shirt_collar, "turtleneck": stand_collar, "coat": shirt_collar, "open_jacket": shirt_collar, "hoodie": hood_down}
+_AT_NECKS = {
+    "shirt": shirt_collar,
+    "turtleneck": stand_collar,
+    "coat": shirt_collar,
+    "open_jacket": shirt_collar,
+    "hoodie": hood_down,
+}
 
 
-def draped(surface: Floats32, rest: RestArrays, eyes: Floats, head: tuple[float, float, float, float], outfit: Outfit) -> list[Accessory]:
+def draped(
+    surface: Floats32, rest: RestArrays, eyes: Floats, head: tuple[float, float, float, float], outfit: Outfit
+) -> list[Accessory]:
     """The cloth of an outfit over seen vertices (V + N, 3) m in close clothes and hair.
 
     eyes: (3,) m between them · head: half width, front, back and top of the head from there.
@@ -58,12 +67,12 @@ def _front(cloud: Cloud, neck: Floats, side: float) -> Accessory:
     """The front of an open jacket, from its edge to where it lies on the chest; side: 1 left, -1 right."""
     rows, columns = 30, 10
     size = neck[2] / load_chart().heads["neck01"][2]
-    up, out = np.linspace(0.97, 0.03, rows)[:, None], np.linspace(0.0, 1.0, columns)
-    edge = size * (np.interp(up, (0.0, 0.5, 0.85, 1.0), (0.085, 0.062, 0.050, 0.060)) - 0.006)
+    up, out = np.linspace(1.04, 0.03, rows)[:, None], np.linspace(0.0, 1.0, columns)
+    edge = size * (half_opening(up) - 0.006)
     origin = np.zeros((rows, columns, 3)) + (-0.03, 0.0, 0.0)
     origin[..., 1] = side * (edge + size * 0.085 * out)
     origin[..., 2] = up * neck[2]
-    free = (1 - out) ** 1.5
+    free = rp.power(1 - out, 1.5)
     stands = 0.012 + 0.022 * np.clip((0.8 - up) / 0.6, 0.0, 1.0) + 0.004 * rp.sin(14.0 * up + side)
     direction = np.broadcast_to((1.0, 0.0, 0.0), origin.shape)
     made = drape(cloud, origin, direction, ball=0.03, off=-0.004 * out**2 + free * stands, sweeps=10, closed=False)
