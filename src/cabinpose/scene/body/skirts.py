@@ -80,12 +80,12 @@ def _two_legs(cloud: Cloud, at: Floats, aside: float) -> tuple[Floats, Bytes]:
     found = {}
     for side in (1.0, -1.0):
         own = cloud.where(cloud.points[:, 1] * side >= 0)
-        flat = at.reshape(-1, 3)
-        target = flat * (1.0, 0.0, 1.0) + np.stack(
-            [0.0 * flat[:, 0], side * np.maximum(flat[:, 1] * side, 0.4 * aside), 0.0 * flat[:, 0]], 1
-        )
-        away = own.points[None] - target[:, None]
-        far = np.einsum("ijk,ijk->ij", away, away)
-        found[side] = bound(own.vertex[far.argmin(axis=1)], at.shape[:2], 10, closed=True)
+        nearest = np.empty(at.shape[:2], np.int64)
+        for k, row in enumerate(at):
+            level = np.flatnonzero(np.abs(own.points[:, 2] - row[0, 2]) < _NEAR_M)
+            target = np.stack([row[:, 0], side * np.maximum(row[:, 1] * side, 0.4 * aside), row[:, 2]], axis=1)
+            away = own.points[None, level] - target[:, None]
+            nearest[k] = level[np.einsum("ijk,ijk->ij", away, away).argmin(axis=1)]
+        found[side] = bound(own.vertex[nearest.ravel()], at.shape[:2], 10, closed=True)
     weights = share[..., None] * found[1.0][0] + (1 - share)[..., None] * found[-1.0][0]
     return weights, np.where(share > 0.5, found[1.0][1], found[-1.0][1]).astype(np.uint8)
