@@ -83,7 +83,8 @@ def _wrapped(head: Head, opening: tuple[float, float, float, float, float], ends
     )
     # Seen from the skull above, from the neck below; further on from the neck's root and level.
     start = head.middle + (1 - lean) * (head.neck + head.size * np.array((0.012, 0.0, 0.035)) - head.middle)
-    end = head.neck + head.size * np.array((0.010, 0.0, 0.0)) - (ends[0] + (ends[1] - ends[0]) * lean) * (0.0, 0.0, 1.0)
+    low = (ends[0] + (ends[1] - ends[0]) * lean) * (1 - 1.1 * rp.sin(_ROUND)[:, None] ** 2)  # aside it ends before the shoulder
+    end = head.neck + head.size * (np.array((0.010, 0.0, 0.0)) - low * (0.0, 0.0, 1.0))
     first = edge - start
     first /= np.linalg.norm(first, axis=1)[:, None]
     last = np.stack([-rp.cos(_ROUND), rp.sin(_ROUND), 0.0 * _ROUND], axis=1)
@@ -121,7 +122,7 @@ def mask(head: Head, ear: float) -> list[Accessory]:
     rows, columns = 12, 25
     share, across = np.linspace(0.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
     azimuth = np.radians(62.0 - 6.0 * share) * across
-    top = -0.030 + -0.012 * across**2
+    top = -0.022 - 0.016 * across**2
     z = head.size * (top + share * (-0.128 - top + 0.022 * across**2))
     start = head.eyes + head.size * np.array((-0.055, 0.0, 0.0)) + np.zeros((rows, columns, 3))
     start[..., 2] += z
