@@ -56,7 +56,7 @@ _PRINTS = (0x141414, 0x1A1B1F, 0x23262B, 0xE8E6E0, 0xB55A3C, 0x3F5F86, 0x2E4A3A,
 # What is printed or woven into clothes: upper bounds of a number from 0 to 1 (shares assumed).
 _TOP_PATTERNS = (("", 0.70), ("stripes", 0.88), ("checks", 1.0))
 _BOTTOM_PATTERNS = (("", 0.92), ("checks", 1.0))
-_PRINTED = ("t_shirt", "long_sleeve", "shirt", "jumper", "trousers", "shorts", "skirt", "long_skirt")
+_PRINTED = ("t_shirt", "long_sleeve", "shirt", "jumper", "trousers", "shorts")
 _STRIPE_M, _CHECK_M = 0.04, 0.05
 _CLOTH = tuple(MATERIAL[name] for name in ("cotton", "denim", "wool", "synthetic_fabric"))
 _PLACE = np.full(256, NOT_WORN, np.uint8)  # of a material, where nothing else tells
@@ -115,7 +115,7 @@ def look_of(person: Person, seed: int, subject: str) -> PersonLook:
     hair = natural if dyed else natural + grey * (linear(_GREY_HAIR) - natural)
     printed = {f"{part}_print": linear(_PRINTS[int(u[k] * len(_PRINTS))]) for k, part in ((1, "top"), (2, "bottom"))}
     patterns = {
-        part: next(name for name, bound in table if u[k] < bound) if garment in _PRINTED else ""
+        part: next(name for name, bound in table if u[k] < bound) if garment in _PRINTED and outfit.bottom != "dress" else ""
         for k, part, garment, table in (
             (3, "top", outfit.top, _TOP_PATTERNS), (4, "bottom", outfit.bottom, _BOTTOM_PATTERNS)
         )

@@ -250,7 +250,7 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
             gap = opening()
             outer += step(gap, 0.0, 0.02) * (np.minimum(outer, _SHIRT_M) - outer)
             shirt = cut.inside[border] & (
-                (gap + 0.03 * step(-seen_chart().up, -0.78, 0.1))[cut.faces].mean(axis=1) > 0.0
+                (gap + 0.02 * step(-seen_chart().up, -0.78, 0.1))[cut.faces].mean(axis=1) > 0.0
             )  # its border lies under the fronts
             regions.append(Region(shirt, "cotton", None, "inner"))
         depth = np.maximum(depth, outer)

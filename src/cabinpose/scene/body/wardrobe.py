@@ -76,5 +76,5 @@ def _front(cloud: Cloud, neck: Floats, side: float) -> Accessory:
     free = rp.power(1 - out, 1.5)
     stands = 0.012 + 0.022 * np.clip((0.8 - up) / 0.6, 0.0, 1.0) + 0.004 * rp.sin(14.0 * up + side)
     direction = np.broadcast_to((1.0, 0.0, 0.0), origin.shape)
-    made = drape(cloud, origin, direction, ball=0.03, off=-0.004 * out**2 + free * stands, sweeps=10, closed=False)
+    made = drape(cloud, origin, direction, ball=0.03, off=0.004 - 0.009 * out**2 + free * stands, sweeps=10, closed=False)
     return made.cloth(0.004, "synthetic_fabric", "top", closed=False)
