@@ -58,7 +58,6 @@ MATERIALS: tuple[Material, ...] = (
     Material(19, "painted_wall", 0.75, 0.75),
     Material(20, "wood", 0.634, 0.667),
     Material(21, "steering_leather", 0.15, 0.15, 0.35),
-    Material(22, "sun_lens", 0.05, 0.05, 0.1),  # that absorbs near infrared: assumed; there are also some that do not
     Material(30, "eye", 0.40, 0.40, 0.1),  # the white of it, darker than skin; of eyes and mouths all are assumed
     Material(31, "iris", 0.35, 0.35, 0.1),
     Material(32, "pupil", 0.04, 0.04, 0.1),

@@ -23,8 +23,7 @@ _CABIN = {
 }  # fmt: skip
 _WORN = {
     "skin": _SKIN, "hair": "#3a2a20", "belt_webbing": "#d03030", "leather_shoe": _SHOE, "rubber": _SHOE, "denim": "#46628c",
-    "spectacle_lens": "#8fb0c0", "sun_lens": "#202224",
-    "eye": "#e8e0da", "iris": "#4a3020", "pupil": "#101010", "mouth": "#5a1f22",
+    "spectacle_lens": "#8fb0c0", "eye": "#e8e0da", "iris": "#4a3020", "pupil": "#101010", "mouth": "#5a1f22",
 }  # fmt: skip
 _HIDING = ("trim", "glass", "floor", "wall")  # what stands between the people and who looks in from outside
 _GHOST, _SOLID = 0.13, 1.0  # opacity of what one looks through from outside, and of the rest

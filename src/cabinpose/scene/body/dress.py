@@ -154,6 +154,6 @@ def worn(outfit: Outfit) -> dict[str, tuple[str, str]]:
         "bottom": place(outfit.bottom, bottoms.get(outfit.bottom, "")),
         "shoes": place(outfit.shoes, SHOE_MATERIAL.get(outfit.shoes, "")),
         "headwear": place(outfit.headwear, "wool" if outfit.headwear in ("beanie", "hat") else "cotton"),
-        "glasses": place(outfit.glasses, "sun_lens" if outfit.glasses == "sun" else "spectacle_lens"),
+        "glasses": place(outfit.glasses, "hard_plastic" if outfit.glasses == "sun" else "spectacle_lens"),
         "mask": place("mask" if outfit.mask else "none", "synthetic_fabric"),
     }
