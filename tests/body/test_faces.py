@@ -22,7 +22,7 @@ PEOPLE = ("S01", "S02", "S05", "S08", "cdc_male_0y_p50")
 def person(name: str, number: int | None = None) -> Person:
     phenotype, outfit = SUBJECTS[name]
     number = phenotype.face if number is None else number
-    return BodyModel.load().person(replace(phenotype, face=number), replace(outfit, glasses=False, cap=False))
+    return BodyModel.load().person(replace(phenotype, face=number), replace(outfit, glasses="none", headwear="none"))
 
 
 def standing(body: Person) -> PosedBody:

@@ -68,7 +68,7 @@ def test_own_people_without_a_stature_have_the_usual_one() -> None:
         ({"anna": {"mass_kg": 60, "weight": 0.5}}, "mass_kg and weight say the same of a person", "give one of the two"),
         ({"S01": {}}, "'S01' is the name of somebody else", "another name"),
         ({"anna": {"outfit": {"top": "toga"}}}, "outfit.top", "schema"),
-        ({"anna": {"outfit": {"hat": "yes"}}}, "outfit.hat: unknown key", "did you mean people.own.anna.outfit.cap?"),
+        ({"anna": {"outfit": {"hat": "yes"}}}, "outfit.hat: unknown key", "did you mean people.own.anna.outfit.headwear?"),
         ({"anna": {"age": 34}}, "people.own.anna.age: unknown key", "did you mean people.own.anna.years?"),
         ({"anna": {"years": -1}}, "people.own.anna.years: must be greater than or equal to 0", "From birth"),
     ],

@@ -26,7 +26,7 @@ LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
 
 @pytest.fixture(scope="module")
 def man() -> Person:
-    return BodyModel.load().person(Phenotype(), Outfit("t_shirt", "trousers", "leather", "short", cap=True))
+    return BodyModel.load().person(Phenotype(), Outfit("t_shirt", "trousers", "leather", "short", headwear="cap"))
 
 
 def drawn(man: Person, name: str, seed: int = 0, wavelength: Wavelength = 850) -> Mapping[str, float]:
@@ -110,7 +110,7 @@ def test_every_garment_has_its_triangles() -> None:
         assert 0.35 < counts["top_print"] / both < 0.65
         plain = worn_faces(p, look._replace(patterns={}))
         assert (plain == WORN.index("top")).sum() == both
-        assert (counts["headwear"] > 100) == p.outfit.cap
+        assert (counts["headwear"] > 100) == (p.outfit.headwear == "cap")
         assert (plain[p.dressed.material == MATERIAL_ID["skin"]] == WORN.index("skin")).all()
 
 

@@ -43,7 +43,7 @@ KEYS = by_word(
         "outfit": "clothes clothing garment garments",
         "outfit.top": "shirt jacket",
         "outfit.bottom": "trousers pants",
-        "outfit.cap": "hat",
+        "outfit.headwear": "cap hat hijab beanie hood headscarf",
         "outfit.hair": "hairstyle",
         "people.subjects, people.own": "person persons human subject subject_id ids",
         "people.random.count": "num_people n_people num_persons people_count n_subjects",

@@ -88,7 +88,7 @@ class Casting:
         loose, doing = self._loose(child_seats, cabin, rng)
         children |= loose
         names = self._who(cabin, index, child_seats, children, rng)
-        people = {slot: self._plan.subjects.person(name) for slot, name in names.items()}
+        people = {slot: self._plan.subjects.person(name, self._outfit(index, slot, name)) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
         settings = {
             slot: _exact_setting(exact[slot])
@@ -116,6 +116,15 @@ class Casting:
         return Cast(
             car, cabin, validator, names, people, settings, given, Brought(_in_use(child_seats, names), hard), soft, doing
         )
+
+    def _outfit(self, index: int, slot: str, name: str) -> int:
+        """The number of the outfit of whoever sits in a slot: as asked for, or drawn."""
+        asked = o.outfit if (o := self._scene.occupants.get(slot)) is not None and o.subject == name else None
+        if asked is None:
+            return self._plan.outfit(index, name)
+        if asked >= (count := self._plan.subjects.outfits(name)):
+            raise ConfigError(f"{name} has no outfit {asked}", hint=f"they are numbered from 0 to {count - 1}")
+        return asked
 
     def _children(self, child_seats: Mapping[str, str], rng: np.random.Generator) -> dict[str, str]:
         """Who sits in which child seat. Raises ConfigError for somebody who is too tall or too small for it."""

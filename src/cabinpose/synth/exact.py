@@ -63,7 +63,9 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         worn = {"none": {"belted": False}, "worn": {"belted": True}, "harness": {"belted": True}}.get(
             person.belt, {"belt": person.belt}
         )
-        occupants[person.slot] = Occupant(subject=person.subject, action=person.action, pose=pose, **worn)
+        occupants[person.slot] = Occupant(
+            subject=person.subject, outfit=person.person.outfit.number, action=person.action, pose=pose, **worn
+        )
     things = tuple(
         ExactThing(
             kind=thing.thing.kind, variant=thing.thing.variant, slot=thing.slot, where=thing.at,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -26,6 +27,7 @@ from cabinpose.synth.streams import frame_rng
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 _SUBJECTS = tuple(f"S{number:02d}" for number in range(1, 19))  # of a configuration that names none
 _RANDOM_PERSON = re.compile(r"R\d{4,}")
+MOST_OUTFITS = 8  # of a person
 EVENLY = "evenly"  # in place of a population: parameters of shape, each by itself
 _USUAL_POPULATION, _ADULT_YEARS = "nhanes", 18.0
 _OF_SIZE = ("years", "stature_cm", "mass_kg", "gender")
@@ -142,7 +144,17 @@ class OwnPerson(Model):
     muscle: Probability | None = Field(None, description="Left out: 0.3, or as much less as the mass needs.")
     height: Probability = Field(0.45, description="How much of the stature the legs are; 0.38 to 0.48 are common.")
     proportions: Probability = Field(0.3, description="From ideal to uncommon.")
-    outfit: Outfit = Field(Outfit(), description="top, bottom, shoes, hair, beard, cap, glasses, fit, folds.")
+    outfit: Outfit | Annotated[tuple[Outfit, ...], Field(min_length=1, max_length=MOST_OUTFITS)] = Field(
+        Outfit(),
+        description="top, bottom, shoes, hair, beard, headwear, glasses, scarf, gloves, mask, fit, folds; or a list, of"
+        " which a frame or sequence shows one.",
+    )
+
+    @property
+    def outfits(self) -> tuple[Outfit, ...]:
+        """All of them."""
+        several = self.outfit if isinstance(self.outfit, tuple) else (self.outfit,)
+        return tuple(replace(each, number=number) for number, each in enumerate(several))
 
     @model_validator(mode="after")
     def _one_weight(self) -> OwnPerson:
@@ -159,6 +171,9 @@ class People(Model):
     )
     own: Mapping[str, OwnPerson] = Field({}, description="People of your own by name, beside them.")
     random: RandomPeople | None = Field(None, description="People drawn at random, beside the named ones.")
+    outfits: int = Field(
+        3, ge=1, le=MOST_OUTFITS, description="How many outfits each named or random person has; a frame or sequence shows one."
+    )
     asymmetric: bool = Field(False, description="Whether the left and right sides of bodies differ, of each in its own way.")
     driver_years: float = Field(17.0, ge=0.0, description="Age from which people drive, where anybody is as old; 0: anyone.")
 

@@ -14,10 +14,13 @@ from cabinpose.core import Bytes, Floats, Ints
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIAL_ID as MATERIAL
-from cabinpose.scene.body import Person
+from cabinpose.scene.body import PLACES, Person
 from cabinpose.synth.streams import own_rng, weighted
 
-WORN = ("skin", "hair", "top", "bottom", "shoes", "socks", "headwear", "top_print", "bottom_print")
+WORN = (
+    "skin", "hair", "top", "bottom", "shoes", "socks", "headwear", "top_print", "bottom_print",
+    "inner", "scarf", "gloves", "mask",
+)  # fmt: skip
 """Surfaces of a person that have a colour, and a reflectance, of their own."""
 NOT_WORN = 255  # of soles, glasses, eyes and mouths, which are of their material
 
@@ -45,12 +48,15 @@ _JEANS = (0x2B3A52, 0x3D5472, 0x5C7898, 0x1C2230)
 _SHOES = (0xE4E2DD, 0x1A1A1C, 0x55585C, 0x7C2B2B, 0x2C3B58)
 _LEATHER_SHOES = (0x17130F, 0x3A2416, 0x5B3A22)
 _CAPS = (0x1F2329, 0x7A2226, 0x22365A, 0xC8C3B6, 0x44503C)
+_SCARVES = (0x7A2226, 0x2B3A55, 0x8A8F98, 0xB08A3A, 0x2E4A3A, 0xD8D2C6, 0x4F3B5C)
+_GLOVES = (0x17181B, 0x3A2A22, 0x4C4A46, 0x6D2230)
+_MASKS = (0x8FBFD6, 0xE6E8EA, 0x17181B)
 _SOCKS = (0xDAD8D2, 0x202124, 0x3A4250)
 _PRINTS = (0x141414, 0x1A1B1F, 0x23262B, 0xE8E6E0, 0xB55A3C, 0x3F5F86, 0x2E4A3A, 0xD3B04A)
 # What is printed or woven into clothes: upper bounds of a number from 0 to 1 (shares assumed).
 _TOP_PATTERNS = (("", 0.70), ("stripes", 0.88), ("checks", 1.0))
 _BOTTOM_PATTERNS = (("", 0.92), ("checks", 1.0))
-_PRINTED = ("t_shirt", "long_sleeve", "jumper", "trousers", "shorts")
+_PRINTED = ("t_shirt", "long_sleeve", "shirt", "jumper", "trousers", "shorts")
 _STRIPE_M, _CHECK_M = 0.04, 0.05
 _ODD = 1001  # more columns of checks than any garment has, and odd
 _CLOTH = tuple(MATERIAL[name] for name in ("cotton", "denim", "wool", "synthetic_fabric"))
@@ -84,8 +90,9 @@ def linear(srgb: int) -> Floats:
 
 def look_of(person: Person, seed: int, subject: str) -> PersonLook:
     """How somebody looks in the dataset of a seed."""
-    rng, prints = own_rng(seed, subject), own_rng(seed, f"prints of {subject}")
     outfit, gender = person.outfit, person.phenotype.gender
+    wearer = f"{subject} in outfit {outfit.number}" if outfit.number else subject
+    rng, prints = own_rng(seed, subject), own_rng(seed, f"prints of {wearer}")
     tone = rng.uniform(0.0, len(_SKIN) - 1.0)
     tones = 0.02 + _SKIN_GAIN * np.array([linear(c) for c in _SKIN])
     skin = np.array([np.interp(tone, np.arange(len(_SKIN)), tones[:, k]) for k in range(3)]) * _BLOOD
@@ -98,14 +105,18 @@ def look_of(person: Person, seed: int, subject: str) -> PersonLook:
         "top": TOPS, "bottom": _JEANS if outfit.bottom == "jeans" else _BOTTOMS,
         "shoes": _SHOES if outfit.shoes == "trainers" else _LEATHER_SHOES, "headwear": _CAPS, "socks": _SOCKS,
     }  # fmt: skip
-    colours = {name: linear(int(rng.choice(table))) for name, table in palettes.items()}
+    dyes = own_rng(seed, wearer) if outfit.number else rng
+    colours = {name: linear(int(dyes.choice(table))) for name, table in palettes.items()}
+    more = own_rng(seed, f"small clothes of {wearer}")
+    for name, table in {"inner": TOPS, "scarf": _SCARVES, "gloves": _GLOVES, "mask": _MASKS}.items():
+        colours[name] = linear(int(more.choice(table)))
     u = prints.random(5)
-    dyed = grey > _DYES_FROM and u[0] < _DYED[0] + gender * (_DYED[1] - _DYED[0])
+    dyed = grey > _DYES_FROM and own_rng(seed, f"prints of {subject}").random() < _DYED[0] + gender * (_DYED[1] - _DYED[0])
     natural = linear(colour)
     hair = natural if dyed else natural + grey * (linear(_GREY_HAIR) - natural)
     printed = {f"{part}_print": linear(_PRINTS[int(u[k] * len(_PRINTS))]) for k, part in ((1, "top"), (2, "bottom"))}
     patterns = {
-        part: next(name for name, bound in table if u[k] < bound) if garment in _PRINTED else ""
+        part: next(name for name, bound in table if u[k] < bound) if garment in _PRINTED and outfit.bottom != "dress" else ""
         for k, part, garment, table in (
             (3, "top", outfit.top, _TOP_PATTERNS), (4, "bottom", outfit.bottom, _BOTTOM_PATTERNS)
         )
@@ -123,6 +134,8 @@ def worn_faces(person: Person, look: PersonLook) -> Bytes:
     place[below] = WORN.index("shoes" if person.outfit.shoes != "none" else "socks")
     place[below & (dressed.material == MATERIAL["cotton"])] = WORN.index("socks")
     place[dressed.label == LABEL["headwear"]] = WORN.index("headwear")
+    for number, name in enumerate(PLACES[1:], start=1):
+        place[dressed.worn == number] = WORN.index(name)
     for part, pattern in look.patterns.items():
         if pattern:
             of = np.flatnonzero(place == WORN.index(part))

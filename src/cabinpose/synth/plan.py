@@ -85,6 +85,11 @@ class Plan:
         result[0], result[at] = result[at], result[0]
         return result
 
+    def outfit(self, index: int, name: str) -> int:
+        """The number of the outfit that somebody wears in frame `index`: the same for a round of many people."""
+        many = len(self._names) > PEOPLE_IN_PLAY
+        return self.subjects.worn(name, index, every=_FRAMES_A_PERSON * len(self._names) if many else 1)
+
     def _make_room(self, number: int) -> Room:
         return furnish_room(rng=room_rng(self.seed, number))
 

@@ -30,7 +30,8 @@ _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
 _OF_CARS = ("seat_fabric", "seat_leather", "soft_trim", "hard_plastic", "headliner", "carpet", "steering_leather")
 _AT = {material.name: material.at for material in MATERIALS}
 _ACROSS = np.iinfo(np.int64).min  # of a triangle that a pattern's border goes through
-_KEPT = 32  # people and cars that are remembered
+_FIRST = WORN.index("inner")  # of the places that have a stream of their own
+_KEPT = 64  # people and cars that are remembered
 
 
 class Pattern(NamedTuple):
@@ -178,9 +179,15 @@ class Reflectances:
 
     def _draw_person(self, subject: str, person: Person) -> WornReflectance:
         rng = own_rng(self._seed, f"near infrared of {subject}")
-        wears, ranks, kinds = worn(person.outfit), rng.random(len(WORN)), rng.random(len(WORN))
+        wears, ranks, kinds = worn(person.outfit), rng.random(_FIRST), rng.random(_FIRST)
+        more = own_rng(self._seed, f"near infrared of small clothes of {subject}").random((2, len(WORN) - _FIRST))
+        ranks, kinds = (np.concatenate(both) for both in ((ranks, more[0]), (kinds, more[1])))
+        if number := person.outfit.number:  # clothes of its own, on the same skin and hair
+            other = own_rng(self._seed, f"near infrared of {subject} in outfit {number}").random((2, len(WORN)))
+            ranks[2:], kinds[2:] = other[0, 2:], other[1, 2:]
         look = look_of(person, self._seed, subject)
-        material = dict.fromkeys(WORN, "cotton") | {"skin": "skin", "hair": "hair"}
+        material = dict.fromkeys(WORN, "cotton") | {"skin": "skin", "hair": "hair", "scarf": "wool", "gloves": "wool"}
+        material["mask"] = "synthetic_fabric"
         material |= {name: wears[name][1] for name in ("top", "bottom", "shoes", "headwear") if wears[name][1]}
         result = {"skin": self._skin(look.tone, float(rng.standard_normal())), "hair": self._hair(look, float(ranks[1]))}
         for k, name in enumerate(WORN):

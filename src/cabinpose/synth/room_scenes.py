@@ -33,7 +33,7 @@ class RoomScenes:
         number = int(rng.integers(self._scene.rooms))
         room = self._plan.room(number)
         (subject,) = self._plan.people(index, 1, rng=rng)
-        person = self._plan.subjects.person(subject)
+        person = self._plan.subjects.person(subject, self._plan.outfit(index, subject))
         attempts.scenes.append(f"room {number} ({subject})")
         view = weighted(self._views, rng=rng)
         camera, spot = place_room_camera(view, room, rng=rng)

@@ -32,6 +32,7 @@ CHILDREN = 24  # of each kind, of evenly spread ages
 _CHILD_YEARS = {"I": (0.0, 1.0), "K": (3.0, 11.5), "T": (0.75, 3.0)}
 _LEAST_M = {"K": 0.90}  # of who is drawn for a child seat: shorter ones are among toddlers
 _MUSCLES = (0.3, 0.2, 0.1, 0.0)  # of own people, the first with which a body can have the mass: heavy ones have less
+_KEPT = 80  # dressed people, of 1.5 MB: all outfits of those that are in play
 _BEARD_YEARS, _BALD_YEARS, _WALKS_YEARS = 16.0, 25.0, 1.0
 _WEIGHT = 0.65  # of own people; about the average of S01 .. S18
 
@@ -42,20 +43,42 @@ class Subjects:
     def __init__(self, people: People, seed: int, *, like: Subjects | None = None) -> None:
         """like: those of a dataset whose bodies are taken over where people and seed make the same ones."""
         self._people, self._seed = people, seed
-        self.person = cached_once(32)(self._make_person)
+        self._person = cached_once(_KEPT)(self._make_person)
         self.drives = cached_once(1024)(self._old_enough)
         self._stature_m = cached_once(len(_CHILD_YEARS) * CHILDREN)(self._drawn_stature)
         if like is not None and like._seed == seed and like._people == people:
-            self.person = like.person
+            self._person = like._person
 
-    def body(self, name: str) -> tuple[Phenotype, Outfit]:
-        """Shape and clothes of somebody; a function of people, seed and name alone, whatever was drawn before."""
+    def outfits(self, name: str) -> int:
+        """How many outfits somebody has: children in child seats one."""
+        if name in self._people.own:
+            return len(self._people.own[name].outfits)
+        return 1 if CHILD_NAME.fullmatch(name) else self._people.outfits
+
+    def worn(self, name: str, index: int, *, every: int = 1) -> int:
+        """The number of the outfit that somebody wears in frame `index`, or in the sequence that begins there.
+
+        every: for so many frames the same, where people change often enough without.
+        """
+        count = self.outfits(name)
+        return 0 if count == 1 else int(own_rng(self._seed, f"outfit of {name} in {index // every}").integers(count))
+
+    def body(self, name: str, number: int = 0) -> tuple[Phenotype, Outfit]:
+        """Shape and clothes of somebody; a function of people, seed and name alone, whatever was drawn before.
+
+        number: of the outfit. All have the person's hair, beard, sight and headscarf.
+        """
         face = face_number(name if self._everywhere_the_same(name) else f"{name} of {self._seed}")
         phenotype, outfit = self._symmetric_body(name, face)
         if self._people.asymmetric:  # whoever has a name is the same in all datasets
             seed = 0 if self._everywhere_the_same(name) else self._seed
             phenotype = replace(phenotype, asymmetry=int(own_rng(seed, name).integers(1, 1 << 31)))
-        return phenotype, outfit
+        if name in self._people.own:
+            return phenotype, self._people.own[name].outfits[number]
+        if number:
+            rng = own_rng(self._seed, f"outfit {number} of {name}")
+            outfit = outfit.redressed(_suited(Outfit.random(rng=rng, gender=phenotype.gender), phenotype))
+        return phenotype, replace(outfit, number=number)
 
     def _everywhere_the_same(self, name: str) -> bool:
         return name in SUBJECTS or name in self._people.own
@@ -87,23 +110,29 @@ class Subjects:
             if population is None or not population.has(years):
                 population = load_population("nhanes" if years >= SEATED_YEARS else "cdc")
             body = replace(Phenotype.of_size(population.draw(rng=rng, years=(years, years)), rng=rng), face=face)
-            return body, _suited(Outfit.random(rng=rng, hair=hair_shares(body.gender, body.years)), body)
+            hair = hair_shares(body.gender, body.years)
+            return body, _suited(Outfit.random(rng=rng, hair=hair, gender=body.gender), body)
         crowd = self._people.random
         if crowd is None or not name.startswith("R"):
             raise unknown_name("subject", name, self._people.names)
         rng = frame_rng(self._seed, PEOPLE_STREAM - int(name[1:]))
         phenotype = replace(crowd.draw(rng=rng), face=face)
-        return phenotype, _suited(Outfit.random(rng=rng, hair=hair_shares(phenotype.gender, phenotype.years)), phenotype)
+        hair = hair_shares(phenotype.gender, phenotype.years)
+        return phenotype, _suited(Outfit.random(rng=rng, hair=hair, gender=phenotype.gender), phenotype)
+
+    def person(self, name: str, number: int = 0) -> Person:
+        """Somebody in one of their outfits."""
+        return self._person(name, number)
 
     def _old_enough(self, name: str) -> bool:
         """Whether somebody drives in this dataset."""
         least = self._people.driver_years
         return least <= SEATED_YEARS or self.body(name)[0].years >= least
 
-    def _make_person(self, name: str) -> Person:
-        if name in SUBJECTS and not self._people.asymmetric:
+    def _make_person(self, name: str, number: int) -> Person:
+        if name in SUBJECTS and not number and not self._people.asymmetric:
             return _named_person(name)
-        return BodyModel.load().person(*self.body(name))
+        return BodyModel.load().person(*self.body(name, number))
 
 
 def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
@@ -120,7 +149,7 @@ def _suited(outfit: Outfit, phenotype: Phenotype) -> Outfit:
     """The outfit with the beard and baldness of men alone, and what infants wear."""
     grown_man = phenotype.gender < 0.5 and phenotype.years >= _BEARD_YEARS
     if phenotype.years < SEATED_YEARS:
-        outfit = replace(outfit, glasses=False)
+        outfit = replace(outfit, glasses="none", mask=False)
     if phenotype.years < _WALKS_YEARS:  # in a romper suit, socks and little hair
         bottom = "trousers" if outfit.bottom == "jeans" else outfit.bottom
         outfit = replace(outfit, beard=False, bottom=bottom, shoes="none", hair="short")
@@ -141,13 +170,13 @@ def _own_body(own: OwnPerson, face: int) -> tuple[Phenotype, Outfit]:
         sex: Sex = "female" if gender > 0.5 else "male"
         usual = load_population("cdc").of_percentile(sex, 50.0, own.years)
         mass = own.mass_kg if own.mass_kg is not None else usual.mass_kg * (stature / usual.stature_m) ** 2
-        return replace(Phenotype.of_size(usual.with_size(stature, mass), rng=None), face=face), own.outfit
+        return replace(Phenotype.of_size(usual.with_size(stature, mass), rng=None), face=face), own.outfits[0]
     muscles = _MUSCLES if own.muscle is None else (own.muscle,)
     weight = _WEIGHT if own.weight is None else own.weight
     body = Phenotype(gender, age, muscles[0], weight, own.height, own.proportions, stature, face=face)
     if own.mass_kg is None:
-        return body, own.outfit
+        return body, own.outfits[0]
     for muscle in muscles[:-1]:
         with suppress(ConfigError):
-            return BodyModel.load().with_mass(replace(body, muscle=muscle), own.mass_kg), own.outfit
-    return BodyModel.load().with_mass(replace(body, muscle=muscles[-1]), own.mass_kg), own.outfit
+            return BodyModel.load().with_mass(replace(body, muscle=muscle), own.mass_kg), own.outfits[0]
+    return BodyModel.load().with_mass(replace(body, muscle=muscles[-1]), own.mass_kg), own.outfits[0]

@@ -37,6 +37,7 @@ from .rig import SEGMENTS as SEGMENTS
 from .rig import UPPER as UPPER
 from .rig import Dof as Dof
 from .shape import load_shape_space as load_shape_space
+from .sheets import PLACES as PLACES
 from .skeleton import CLOSING as CLOSING
 from .subjects import SUBJECTS as SUBJECTS
 from .subjects import Subject as Subject

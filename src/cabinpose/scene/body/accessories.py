@@ -5,96 +5,25 @@ Each is built on the person's own measures at rest and moves with one or two bon
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from cabinpose._native import body
-from cabinpose.core import Bools, Bytes, Floats, Ints, Ints32
+from cabinpose.core import Bools, Floats, Ints
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import borders, cap_rim_m
 from cabinpose.scene.body.kinematics import RestArrays
-from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.outfit import COVERING_HAIR, OVER_HAIR, Outfit
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
+from cabinpose.scene.body.sheets import Accessory, closing_faces, grid_faces, outward, rigid, rod, sheet, tube
 
 SOLE_M = {"none": 0.0, "trainers": 0.025, "leather": 0.020}
 SHOE_MATERIAL = {"trainers": "synthetic_fabric", "leather": "leather_shoe"}
 HEEL_BACK_M = 0.008  # how far a shoe reaches behind the heel
-
-
-@dataclass(frozen=True)
-class Accessory:
-    """A mesh at rest (N, 3) m in root axes with faces (F, 3), bound to `bones` with weights (N, len(bones))."""
-
-    vertices: Floats
-    faces: Ints32
-    bones: tuple[str, ...]
-    weights: Floats
-    label: Bytes
-    material: Bytes
-
-
-def _rigid(vertices: Floats, faces: Ints32, bone: str, label: str, material: str) -> Accessory:
-    count = len(faces)
-    return Accessory(
-        vertices, faces, (bone,), np.ones((len(vertices), 1)), np.full(count, labels.LABEL_ID[label], np.uint8),
-        np.full(count, materials.MATERIAL_ID[material], np.uint8),
-    )  # fmt: skip
-
-
-@cache
-def _grid_faces(rows: int, columns: int, *, closed: bool) -> Ints32:
-    """Triangles of a grid of vertices in row order; `closed`: the last column joins the first."""
-    i, j = np.mgrid[: rows - 1, : columns if closed else columns - 1].reshape(2, -1)
-    a, b = i * columns + j, i * columns + (j + 1) % columns
-    return np.stack([a, b, b + columns, a, b + columns, a + columns], axis=1).reshape(-1, 3).astype(np.int32)
-
-
-def _closing_faces(rows: int, columns: int) -> Ints32:
-    """Triangles between the last row of a closed grid and its first, which make it a ring."""
-    j = np.arange(columns)
-    last, first, step = (rows - 1) * columns + j, j, (j + 1) % columns
-    return np.concatenate(
-        [np.stack([last, (rows - 1) * columns + step, step], axis=1), np.stack([last, step, first], axis=1)]
-    ).astype(np.int32)
-
-
-@cache
-def _tube_faces(n: int, m: int) -> Ints32:
-    """Triangles of a closed grid (n, m), and of lids about two vertices after it."""
-    j = np.arange(m)
-    first = np.stack([(j + 1) % m, j, np.full(m, n * m)], axis=1)
-    last = np.stack([(n - 1) * m + j, (n - 1) * m + (j + 1) % m, np.full(m, n * m + 1)], axis=1)
-    return np.concatenate([_grid_faces(n, m, closed=True), first, last]).astype(np.int32)
-
-
-def _tube(sections: Floats) -> tuple[Floats, Ints32]:
-    """Closed surface through sections (n, m, 3), with a lid at both ends."""
-    n, m, _ = sections.shape
-    return np.concatenate([sections.reshape(-1, 3), sections[[0, -1]].mean(axis=1)]), _tube_faces(n, m)
-
-
-def _sheet(outer: Floats, inner: Floats) -> tuple[Floats, Ints32]:
-    """Closed thin surface between two grids (n, m, 3), with strips along the four borders."""
-    n, m, _ = outer.shape
-    faces = _grid_faces(n, m, closed=False)
-    index = np.arange(n * m).reshape(n, m)
-    border = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
-    following = np.roll(border, -1)
-    strips = [(a, b, a + n * m) for a, b in zip(border, following, strict=True)]
-    strips += [(b, b + n * m, a + n * m) for a, b in zip(border, following, strict=True)]
-    vertices = np.concatenate([outer.reshape(-1, 3), inner.reshape(-1, 3)])
-    return vertices, np.concatenate([faces[:, ::-1], faces + n * m, strips]).astype(np.int32)
-
-
-def _outward(vertices: Floats, faces: Ints32) -> Ints32:
-    """The faces of a closed mesh, turned so that its volume is positive."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return faces if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else np.ascontiguousarray(faces[:, ::-1])
 
 
 @cache
@@ -147,9 +76,9 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     sections[:, :, 0] = x[:, None]
     sections[:, :, 1] = middle[:, None] + half[:, None] * outline[:, 0]
     sections[:, :, 2] = bottom[:, None] + (upper - bottom)[:, None] * outline[:, 1]
-    vertices, faces = _tube(sections)
+    vertices, faces = tube(sections)
     part = "foot_left" if side == "l" else "foot_right"
-    made = _rigid(rp.matmul(vertices, frame.T) + origin, _outward(vertices, faces), side + "foot", part, SHOE_MATERIAL[kind])
+    made = rigid(rp.matmul(vertices, frame.T) + origin, outward(vertices, faces), side + "foot", part, SHOE_MATERIAL[kind])
     sole = vertices[faces][:, :, 2].max(axis=1) < bottom.max() + 0.012
     return Accessory(
         made.vertices, made.faces, made.bones, made.weights, made.label,
@@ -157,7 +86,7 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     )  # fmt: skip
 
 
-def _head_box(skin: Floats, eyes: Floats) -> tuple[float, float, float, float]:
+def head_box(skin: Floats, eyes: Floats) -> tuple[float, float, float, float]:
     """Half width, front, back and top of the head relative to the point between the eyes, m."""
     head = skin[load_chart().head > 0.9] - eyes
     above = head[head[:, 2] > 0.035]
@@ -166,14 +95,14 @@ def _head_box(skin: Floats, eyes: Floats) -> tuple[float, float, float, float]:
 
 def bun(skin: Floats, eyes: Floats, *, cap: bool) -> Accessory:
     """A knot of hair at the back of the head, below a cap's rim."""
-    top = _head_box(skin, eyes)[3]
+    top = head_box(skin, eyes)[3]
     radius, height = 0.034 * top / 0.116, (-0.2 if cap else 0.4) * top
     head = skin[load_chart().head > 0.9] - eyes
     back = head[(np.abs(head[:, 1]) < 0.02) & (np.abs(head[:, 2] - height) < 0.015)][:, 0].min()
     u, v = np.linspace(0.15, np.pi - 0.15, 8), np.linspace(0, 2 * np.pi, 14, endpoint=False)
     shape = np.stack([rp.sin(u)[:, None] * rp.cos(v), rp.sin(u)[:, None] * rp.sin(v), rp.cos(u)[:, None] * np.ones(14)], axis=2)
-    vertices, faces = _tube(shape * radius * (0.8, 1.1, 1.0) + eyes + (back - 0.5 * radius, 0.0, height))
-    return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "hair", "hair")
+    vertices, faces = tube(shape * radius * (0.8, 1.1, 1.0) + eyes + (back - 0.5 * radius, 0.0, height))
+    return rigid(vertices, outward(vertices - vertices.mean(axis=0), faces), "head", "hair", "hair")
 
 
 def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Accessory:
@@ -181,7 +110,7 @@ def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Acce
 
     It lies on the head and hangs straight down from where that is widest, thick in the middle and thin along its borders.
     """
-    half, _, back, top = _head_box(skin, eyes)
+    half, _, back, top = head_box(skin, eyes)
     middle_x, size = back * 0.5, top / 0.116
     columns, rows = 30, 14
     angle = np.linspace(np.radians(64), np.radians(296), columns)
@@ -207,11 +136,11 @@ def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Acce
         np.stack([middle_x + r * rp.cos(angle) - 0.010 * drop, r * rp.sin(angle), z], axis=2) + eyes
         for r in (outer, outer - thick)
     ]
-    vertices, faces = _sheet(sheets[0], sheets[1])
+    vertices, faces = sheet(sheets[0], sheets[1])
     weight_neck = np.tile(np.repeat(0.8 * np.clip(drop[:, 0] * 1.6 - 0.6, 0, 1), columns), 2)
     count = len(faces)
     return Accessory(
-        vertices, _outward(vertices - vertices.mean(axis=0), faces), ("head", "spine01"),
+        vertices, outward(vertices - vertices.mean(axis=0), faces), ("head", "spine01"),
         np.stack([1 - weight_neck, weight_neck], axis=1), np.full(count, labels.LABEL_ID["hair"], np.uint8),
         np.full(count, materials.MATERIAL_ID["hair"], np.uint8),
     )  # fmt: skip
@@ -219,7 +148,7 @@ def hanging_hair(skin: Floats, eyes: Floats, neck: Floats, *, cap: bool) -> Acce
 
 def visor(skin: Floats, eyes: Floats) -> Accessory:
     """The visor of a cap: a bent plate over the brow."""
-    half, front, _, top = _head_box(skin, eyes)
+    half, front, _, top = head_box(skin, eyes)
     size = top / 0.116
     across, out = np.linspace(-1, 1, 15), np.linspace(0, 1, 5)
     reach = 0.072 * size * np.sqrt(1 - 0.75 * across**2)
@@ -229,18 +158,19 @@ def visor(skin: Floats, eyes: Floats) -> Accessory:
     z = 0.052 * size - 0.020 * across**2 - 0.012 * out[:, None] + np.zeros_like(x)
     above = np.stack([x, y, z], axis=2) + eyes
     below = above - (0, 0, 0.005)
-    vertices, faces = _sheet(above, below)
-    return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "headwear", "cotton")
+    vertices, faces = sheet(above, below)
+    return rigid(vertices, outward(vertices - vertices.mean(axis=0), faces), "head", "headwear", "cotton")
 
 
-def glasses(skin: Floats, eyes: Floats) -> list[Accessory]:
-    """Two framed lenses before the eyes and their temples: lenses let infrared through, frames do not."""
-    half, _, _, top = _head_box(skin, eyes)
+def glasses(skin: Floats, eyes: Floats, *, sun: bool) -> list[Accessory]:
+    """Two framed lenses before the eyes and their temples: lenses let infrared through, frames do not, nor do dark lenses."""
+    half, _, _, top = head_box(skin, eyes)
     size = top / 0.116
     face = skin[load_chart().head > 0.9] - eyes
     bridge = face[(np.abs(face[:, 1]) < 0.008) & (np.abs(face[:, 2]) < 0.012)][:, 0].max()
     x = bridge + 0.004
-    lens_w, lens_h, centre = 0.025 * size, 0.019 * size, 0.032 * size
+    grown = 1.18 if sun else 1.0  # dark ones cover more of the face
+    lens_w, lens_h, centre = 0.025 * size * grown, 0.019 * size * grown**2, 0.032 * size
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     outline = np.stack(
         [
@@ -258,16 +188,18 @@ def glasses(skin: Floats, eyes: Floats) -> list[Accessory]:
         middle = rim.mean(axis=0) + (0.002, 0, 0)
         j = np.arange(24)
         lens = np.stack([j, (j + 1) % 24, np.full(24, 24)], axis=1).astype(np.int32)
-        parts.append(_rigid(np.concatenate([rim, middle[None]]) + eyes, lens, "head", "glasses", "spectacle_lens"))
+        parts.append(
+            rigid(np.concatenate([rim, middle[None]]) + eyes, lens, "head", "glasses", "hard_plastic" if sun else "spectacle_lens")
+        )
         section = ((0.0, 0.0018), (0.0032, 0.0018), (0.0032, -0.0018), (0.0, -0.0018))
         ring = np.stack([_ring(rim, middle, grow, shift) for grow, shift in section]).reshape(-1, 3)
-        faces = np.concatenate([_grid_faces(4, 24, closed=True), _closing_faces(4, 24)])
-        parts.append(_rigid(ring + eyes, _outward(ring, faces), "head", "glasses", "hard_plastic"))
+        faces = np.concatenate([grid_faces(4, 24, closed=True), closing_faces(4, 24)])
+        parts.append(rigid(ring + eyes, outward(ring, faces), "head", "glasses", "hard_plastic"))
         ear_x, ear_y = -0.088 * size, half + 0.004
         parts.append(
-            _bar(np.array([x - 0.003, s * (centre + lens_w), 0.006]) + eyes, np.array([ear_x, s * ear_y, 0.004]) + eyes, 0.002)
+            rod(np.array([x - 0.003, s * (centre + lens_w), 0.006]) + eyes, np.array([ear_x, s * ear_y, 0.004]) + eyes, 0.002)
         )
-    parts.append(_bar(np.array([x, centre - lens_w, 0.004]) + eyes, np.array([x, lens_w - centre, 0.004]) + eyes, 0.0016))
+    parts.append(rod(np.array([x, centre - lens_w, 0.004]) + eyes, np.array([x, lens_w - centre, 0.004]) + eyes, 0.0016))
     return parts
 
 
@@ -276,28 +208,18 @@ def _ring(rim: Floats, middle: Floats, grow: float, shift: float) -> Floats:
     return np.asarray(rim + away / np.linalg.norm(away, axis=1)[:, None] * grow + (shift, 0, 0))
 
 
-def _bar(a: Floats, b: Floats, radius: float) -> Accessory:
-    """A square bar from a to b."""
-    along = (b - a) / rp.norm(b - a)
-    side = np.cross(along, (0.0, 0.0, 1.0))
-    side /= rp.norm(side)
-    up = np.cross(side, along)
-    corners = [side + up, side - up, -side - up, -side + up]
-    vertices, faces = _tube(np.array([[end + radius * k for k in corners] for end in (a, b)]))
-    return _rigid(vertices, _outward(vertices - vertices.mean(axis=0), faces), "head", "glasses", "hard_plastic")
-
-
 def accessories(skin: Floats, rest: RestArrays, eyes: Floats, outfit: Outfit) -> list[Accessory]:
     """All of an outfit, for the bare skin (V, 3) at rest, m, root axes."""
     made: list[Accessory] = []
     if outfit.shoes != "none":
         made += [shoe(skin, rest, side, outfit.shoes) for side in "lr"]
-    if outfit.hair == "bun":
-        made.append(bun(skin, eyes, cap=outfit.cap))
-    if outfit.hair == "long":
-        made.append(hanging_hair(skin, eyes, rest.heads[BONE_INDEX["neck01"]], cap=outfit.cap))
-    if outfit.cap:
+    capped, covered = outfit.headwear in OVER_HAIR, outfit.headwear in COVERING_HAIR
+    if outfit.hair == "bun" and not covered:
+        made.append(bun(skin, eyes, cap=capped))
+    if outfit.hair == "long" and not covered:
+        made.append(hanging_hair(skin, eyes, rest.heads[BONE_INDEX["neck01"]], cap=capped))
+    if outfit.headwear == "cap":
         made.append(visor(skin, eyes))
-    if outfit.glasses:
-        made += glasses(skin, eyes)
+    if outfit.glasses != "none":
+        made += glasses(skin, eyes, sun=outfit.glasses == "sun")
     return made

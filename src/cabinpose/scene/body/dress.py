@@ -10,7 +10,7 @@ import numpy as np
 
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
-from cabinpose.scene.body.accessories import SHOE_MATERIAL, Accessory, accessories, foot_faces_hidden
+from cabinpose.scene.body.accessories import SHOE_MATERIAL, accessories, foot_faces_hidden, head_box
 from cabinpose.scene.body.faces import Eyes, FaceMesh, FaceRig, ball, close_lips, mouth_faces
 from cabinpose.scene.body.garments import BOTTOMS, TOPS, layer
 from cabinpose.scene.body.kinematics import RestArrays
@@ -18,14 +18,17 @@ from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import ShapeSpace
+from cabinpose.scene.body.sheets import PLACES, Accessory
+from cabinpose.scene.body.skirts import HANGING
+from cabinpose.scene.body.wardrobe import draped
 
 
 @dataclass(frozen=True)
 class Dressed:
     """What the camera sees at rest: `rest` (N, 3) m are the dressed skin's vertices that a face uses, then accessories'.
 
-    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8 · is_top,
-    is_lip: (F,) whether it is of the top garment, of the lips · face_rig: what moves in the face.
+    bone_index, bone_weight: (N, 8) · faces: (F, 3) · label, material: (F,) uint8 · worn: (F,) index in `PLACES` ·
+    is_lip: (F,) whether it is of the lips · face_rig: what moves in the face.
     """
 
     rest: Floats32
@@ -34,9 +37,14 @@ class Dressed:
     faces: Ints32
     label: Bytes
     material: Bytes
-    is_top: Bools
+    worn: Bytes
     is_lip: Bools
     face_rig: FaceRig
+
+    @property
+    def is_top(self) -> Bools:
+        """(F,) whether it is of the top garment."""
+        return self.worn == PLACES.index("top")
 
 
 class _Seen(NamedTuple):
@@ -80,45 +88,48 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
 
     eye_centres: (2, 3) m, left and right · size: stature over the average adult's.
     """
-    worn = layer(skin, rest, outfit, size)
+    clothes = layer(skin, rest, outfit, size)
     cut = cut_skin()
     label = cut.label.copy()
     material = np.full(len(label), materials.MATERIAL_ID["skin"], np.uint8)
-    for covered, name, is_label in worn.regions:
-        material[covered] = materials.MATERIAL_ID[name]
-        if is_label is not None:
-            label[covered] = labels.LABEL_ID[is_label]
+    place = np.zeros(len(label), np.uint8)
+    for region in clothes.regions:
+        material[region.faces] = materials.MATERIAL_ID[region.material]
+        place[region.faces] = PLACES.index(region.worn)
+        if region.label is not None:
+            label[region.faces] = labels.LABEL_ID[region.label]
     material[mouth_faces()] = materials.MATERIAL_ID["mouth"]
     shod = outfit.shoes != "none"
     seen, eyes = _seen(shod=shod), Eyes.of(skin, eye_centres)
-    surface = worn.vertices[seen.vertex]
+    surface = clothes.vertices[seen.vertex]
     eyes.make_sockets(surface, seen.vertex)
     close_lips(surface, seen.vertex)
     vertices, index, weight = [surface], [seen.bone_index], [seen.bone_weight]
-    all_faces, all_labels, all_materials = [seen.faces], [label[seen.face]], [material[seen.face]]
+    all_faces, all_labels, all_materials, all_worn = [seen.faces], [label[seen.face]], [material[seen.face]], [place[seen.face]]
     count = len(seen.vertex)
-    for part in (_eyeballs(eyes), *accessories(skin.astype(np.float64), rest, eye_centres.mean(axis=0), outfit)):
+    middle, bare = eye_centres.mean(axis=0), skin.astype(np.float64)
+    of_cloth = draped(clothes.vertices, rest, middle, head_box(bare, middle), outfit)
+    for part in (_eyeballs(eyes), *accessories(bare, rest, middle, outfit), *of_cloth):
         rows = np.zeros((len(part.vertices), space.bone_index.shape[1]), np.uint8)
         shares = np.zeros(rows.shape, np.float32)
-        order = np.argsort(-part.weights, axis=1, kind="stable")
+        order = np.argsort(-part.weights, axis=1, kind="stable")[:, : rows.shape[1]]
         bones = np.array([BONE_INDEX[b] for b in part.bones], np.uint8)
-        rows[:, : len(bones)] = bones[order]
-        shares[:, : len(bones)] = np.take_along_axis(part.weights, order, axis=1)
+        most = np.take_along_axis(part.weights, order, axis=1)
+        rows[:, : order.shape[1]] = bones[order]
+        shares[:, : order.shape[1]] = most / most.sum(axis=1, keepdims=True)
         vertices.append(part.vertices.astype(np.float32))
         index.append(rows)
         weight.append(shares)
         all_faces.append(part.faces + np.int32(count))
         all_labels.append(part.label)
         all_materials.append(part.material)
+        all_worn.append(np.full(len(part.faces), PLACES.index(part.worn), np.uint8))
         count += len(part.vertices)
-    is_top = np.zeros(sum(map(len, all_faces)), np.bool_)
-    if outfit.top != "none":
-        is_top[: len(seen.face)] = cut.inside[outfit.top][seen.face]
-    is_lip = np.zeros_like(is_top)
+    is_lip = np.zeros(sum(map(len, all_faces)), np.bool_)
     is_lip[: len(seen.face)] = cut.inside["lips"][seen.face]
     return Dressed(
         np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
-        np.concatenate(all_labels), np.concatenate(all_materials), is_top, is_lip,
+        np.concatenate(all_labels), np.concatenate(all_materials), np.concatenate(all_worn), is_lip,
         FaceRig(skin, eyes, _face_mesh(shod=shod)),
     )  # fmt: skip
 
@@ -132,14 +143,17 @@ def worn(outfit: Outfit) -> dict[str, tuple[str, str]]:
     def place(name: str, material: str) -> tuple[str, str]:
         return (name, "" if name == "none" else material)
 
+    bottoms = {name: cut.material for name, cut in BOTTOMS.items()} | {name: row.material for name, row in HANGING.items()}
+    top = place(outfit.top, TOPS[outfit.top].material if outfit.top in TOPS else "")
+    beside = [name for name in ("scarf", "gloves") if getattr(outfit, name)]
     return {
         "skin": ("", "skin"),
         "hair": place("none" if outfit.hair == "bald" else outfit.hair, "hair"),
         "beard": place("beard" if outfit.beard else "none", "hair"),
-        "top": place(outfit.top, TOPS[outfit.top].material if outfit.top in TOPS else ""),
-        "bottom": place(outfit.bottom, BOTTOMS[outfit.bottom].material if outfit.bottom in BOTTOMS else ""),
+        "top": (",".join((top[0], *beside)), top[1]),
+        "bottom": place(outfit.bottom, bottoms.get(outfit.bottom, "")),
         "shoes": place(outfit.shoes, SHOE_MATERIAL.get(outfit.shoes, "")),
-        "headwear": place("cap" if outfit.cap else "none", "cotton"),
-        "glasses": place("clear" if outfit.glasses else "none", "spectacle_lens"),
-        "mask": ("none", ""),
+        "headwear": place(outfit.headwear, "wool" if outfit.headwear in ("beanie", "hat") else "cotton"),
+        "glasses": place(outfit.glasses, "hard_plastic" if outfit.glasses == "sun" else "spectacle_lens"),
+        "mask": place("mask" if outfit.mask else "none", "synthetic_fabric"),
     }

@@ -7,7 +7,7 @@ below the skin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -16,11 +16,12 @@ import numpy as np
 from cabinpose._native import body
 from cabinpose.core import Bools, Floats, Floats32, Ints32
 from cabinpose.core import reproducible as rp
+from cabinpose.scene import labels
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
 from cabinpose.scene.body.folds import around, blend_rows, folds, front_of_thigh, seen_chart, smooth_noise
 from cabinpose.scene.body.kinematics import RestArrays
-from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.outfit import COVERING_HAIR, Outfit
 from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
@@ -36,41 +37,59 @@ _BEYOND_M = 0.04  # cloth is hung as if it went on so far beyond its border: its
 
 @dataclass(frozen=True)
 class _Cut:
-    """A garment: thickness, looseness and height of folds (m) at fit 1, narrowing (m/m) below what it hangs from, material."""
+    """A garment: thickness, looseness and height of folds (m) at fit 1, narrowing (m/m) below what it hangs from, material.
+
+    border: of `coverage.borders`.
+    """
 
     thickness: float
     loose: float
     folds: float
     narrowing: float
     material: str
+    border: str
 
 
 TOPS = {
-    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.18, "cotton"),
-    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.20, "cotton"),
-    "jumper": _Cut(0.008, 0.016, 0.018, 0.28, "wool"),
-    "jacket": _Cut(0.012, 0.018, 0.018, 0.12, "synthetic_fabric"),
+    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.18, "cotton", "t_shirt"),
+    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.20, "cotton", "long_sleeve"),
+    "shirt": _Cut(0.003, 0.017, 0.017, 0.16, "cotton", "jacket"),
+    "jumper": _Cut(0.008, 0.016, 0.018, 0.28, "wool", "jumper"),
+    "turtleneck": _Cut(0.007, 0.012, 0.016, 0.28, "wool", "jacket"),
+    "hoodie": _Cut(0.007, 0.020, 0.020, 0.20, "cotton", "jacket"),
+    "jacket": _Cut(0.012, 0.018, 0.018, 0.12, "synthetic_fabric", "jacket"),
+    "open_jacket": _Cut(0.010, 0.020, 0.018, 0.10, "synthetic_fabric", "jacket"),
+    "coat": _Cut(0.014, 0.020, 0.016, 0.08, "wool", "jacket"),
 }
 BOTTOMS = {
-    "trousers": _Cut(0.003, 0.010, 0.016, 0.08, "cotton"),
-    "jeans": _Cut(0.004, 0.006, 0.014, 0.13, "denim"),
-    "shorts": _Cut(0.003, 0.020, 0.016, 0.03, "cotton"),
+    "trousers": _Cut(0.003, 0.010, 0.016, 0.08, "cotton", "trousers"),
+    "jeans": _Cut(0.004, 0.006, 0.014, 0.13, "denim", "jeans"),
+    "shorts": _Cut(0.003, 0.020, 0.016, 0.03, "cotton", "shorts"),
 }
 HAIR_DEPTH_M = {"bald": 0.0, "short": 0.009, "medium": 0.022, "long": 0.018, "bun": 0.010}
+GLOVE_M, _SHIRT_M = 0.0025, 0.009  # off the skin: gloves, and what shows under an open jacket
 CAP_DEPTH_M, BEARD_DEPTH_M, BROW_DEPTH_M = 0.014, 0.008, 0.0015
+
+
+class Region(NamedTuple):
+    """Faces (F,) of one material; label: None where the body part's own stays · worn: of `sheets.PLACES`."""
+
+    faces: Bools
+    material: str
+    label: str | None = None
+    worn: str = ""
 
 
 @dataclass(frozen=True)
 class Layer:
     """The dressed skin at rest: every seen vertex (V + N, 3) m, and the faces that things cover, inner ones first.
 
-    bare: the same vertices without anything worn · regions: (faces (F,) bool, material, label or None where the body
-    part's own stays).
+    bare: the same vertices without anything worn.
     """
 
     vertices: Floats32
     bare: Floats32
-    regions: tuple[tuple[Bools, str, str | None], ...]
+    regions: tuple[Region, ...]
 
 
 class _Neighbours(NamedTuple):
@@ -193,31 +212,48 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     """The skin (V, 3) at rest, dressed. size: stature over that of the average adult."""
     cut = cut_skin()
     bare, _ = _refined(skin)
-    regions: list[tuple[Bools, str, str | None]] = []
+    regions: list[Region] = []
     if outfit.shoes != "none":
-        regions.append((cut.inside["socks"], "cotton", None))
-    evened = np.max([_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * outfit.cap], axis=0)
+        regions.append(Region(cut.inside["socks"], "cotton"))
+    if outfit.headwear in COVERING_HAIR:
+        outfit = replace(outfit, hair="bald" if outfit.hair == "bald" else "short")
+    evened = np.max(
+        [_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * (outfit.headwear == "cap")], axis=0
+    )
     draped, depth = _relaxed(skin, np.float32(0.6) * evened.astype(np.float32), _EVENING), np.zeros(len(bare))
     head, (moved, normals) = draped, _refined(draped)
+    if outfit.gloves:
+        depth = GLOVE_M * seen_chart().arm * step(seen_chart().along_arm, 1.88, 0.04)
+        hand = [labels.LABEL_ID[f"{part}_{side}"] for part in ("wrist", "hand") for side in ("left", "right")]
+        regions.append(Region(np.isin(cut.label, hand), "wool", None, "gloves"))
     for name, cuts in ((outfit.bottom, BOTTOMS), (outfit.top, TOPS)):
         if name not in cuts:
             continue
-        worn, top, mask = cuts[name], cuts is TOPS, _mask(name)
+        worn, top, border = cuts[name], cuts is TOPS, cuts[name].border
+        mask = _mask(border)
         slack = 0.25 + 0.75 * outfit.fit
-        if top and outfit.bottom != "none":  # the waistband does not show through
+        if top and outfit.bottom in BOTTOMS:  # the waistband does not show through
             hidden = np.where(mask > 0, step(_seen_field(outfit.bottom), 0.06, 0.08), 1.0)
             draped = skin + (draped - skin) * hidden[: len(skin), None].astype(np.float32)
             depth *= hidden
-        hung = _hung(_stretched(draped, name, worn.thickness), name, rest, worn.narrowing * (1.4 - 0.8 * outfit.fit), top=top)
+        hung = _hung(_stretched(draped, border, worn.thickness), border, rest, worn.narrowing * (1.4 - 0.8 * outfit.fit), top=top)
         where = np.flatnonzero(mask > 0)
         height = np.zeros(len(bare))
         height[where] = (
-            worn.folds * (0.5 + 0.5 * outfit.fit) * folds(where, borders()[name] > -0.05, outfit.folds, top=top, size=size)
+            worn.folds * (0.5 + 0.5 * outfit.fit) * folds(where, borders()[border] > -0.05, outfit.folds, top=top, size=size)
         )
         own = worn.loose * slack * _looseness(top=top) + height
         below = np.where(depth > 0, depth + _LIFT_M * step(depth, 0.003, 0.006), 0)
-        depth = np.maximum(depth, mask * np.maximum(own + worn.thickness, below))
-        regions.append((cut.inside[name], worn.material, None))
+        outer = mask * np.maximum(own + worn.thickness, below)
+        regions.append(Region(cut.inside[border], worn.material, None, "top" if top else ""))
+        if name == "open_jacket":  # between its fronts shows what is worn under it
+            gap = opening()
+            outer += step(gap, 0.0, 0.02) * (np.minimum(outer, _SHIRT_M) - outer)
+            shirt = cut.inside[border] & (
+                (gap + 0.02 * step(-seen_chart().up, -0.78, 0.1))[cut.faces].mean(axis=1) > 0.0
+            )  # its border lies under the fronts
+            regions.append(Region(shirt, "cotton", None, "inner"))
+        depth = np.maximum(depth, outer)
         share = mask.astype(np.float32)[:, None]
         draped = draped + share[: len(skin)] * (hung - draped)
         there, facing = _refined(hung)
@@ -235,8 +271,8 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     # Never below the skin, seen along directions that no navel or nipple turns.
     clothed = np.zeros(len(skin))
     for name in (outfit.bottom, outfit.top):
-        if name != "none":
-            clothed = np.maximum(clothed, _mask(name)[: len(skin)])
+        if cut_of := {**BOTTOMS, **TOPS}.get(name):
+            clothed = np.maximum(clothed, _mask(cut_of.border)[: len(skin)])
     _, outwards = _refined(_relaxed(skin, np.float32(0.7) * clothed.astype(np.float32), _EVENING))
     least = np.minimum(0.5 * depth, _LEAST_GAP_M).astype(np.float32)
     lack = np.where(lifted, least - np.einsum("ij,ij->i", moved - bare, outwards), 0)
@@ -244,7 +280,19 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     return Layer(moved.astype(np.float32), bare, tuple(regions))
 
 
-def _hair(outfit: Outfit, regions: list[tuple[Bools, str, str | None]]) -> Floats:
+def half_opening(up: Floats) -> Floats:
+    """From the middle to the edge of an open jacket's front, m on the average adult; up: of the chart."""
+    return np.asarray(np.interp(up, (0.0, 0.5, 0.85, 1.05), (0.085, 0.062, 0.050, 0.034)))
+
+
+@cache
+def opening() -> Floats:
+    """(V + N,) m from the edges of an open jacket's fronts, positive between them."""
+    c = seen_chart()
+    return np.asarray(np.where((c.rest[:, 0] > 0.0) & (c.arm < 0.3), half_opening(c.up) - np.abs(c.rest[:, 1]), -0.1))
+
+
+def _hair(outfit: Outfit, regions: list[Region]) -> Floats:
     """Depth (V + N,) m of hair, beard and cap; their regions are appended."""
     inside = cut_skin().inside
     depth = np.zeros(len(_seen_field("scalp")))
@@ -253,15 +301,15 @@ def _hair(outfit: Outfit, regions: list[tuple[Bools, str, str | None]]) -> Float
         rng = np.random.Generator(np.random.Philox(key=2 * outfit.folds + 977))
         strands = smooth_noise(np.array([0.06]), borders()[name] > -0.02, 1.0, rng=rng)[:, 0]
         depth = HAIR_DEPTH_M[outfit.hair] * step(_seen_field(name), 0.010, 0.020) * (0.9 + 0.2 * strands)
-        regions.append((inside[name], "hair", "hair"))
+        regions.append(Region(inside[name], "hair", "hair"))
     depth = np.maximum(depth, BROW_DEPTH_M * step(_seen_field("brows"), 0.001, 0.003))
-    regions.append((inside["brows"], "hair", None))
+    regions.append(Region(inside["brows"], "hair"))
     if outfit.beard:
         depth = np.maximum(depth, BEARD_DEPTH_M * step(_seen_field("beard"), 0.004, 0.016))
-        regions.append((inside["beard"], "hair", None))
-    if outfit.cap:
+        regions.append(Region(inside["beard"], "hair"))
+    if outfit.headwear == "cap":
         field, rim = _seen_field("cap"), CAP_DEPTH_M * _mask("cap")
         flat = depth * step(-field, 0.01, 0.02)  # hair lies flat under a cap and next to its rim
         depth = np.where(field > 0, CAP_DEPTH_M + 0.25 * depth, np.maximum(rim, flat))
-        regions.append((inside["cap"], "cotton", "headwear"))
+        regions.append(Region(inside["cap"], "cotton", "headwear"))
     return depth

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
@@ -12,17 +12,51 @@ from pydantic import ConfigDict
 
 from cabinpose.core import ConfigError, unknown_name
 
-Top = Literal["none", "t_shirt", "long_sleeve", "jumper", "jacket"]
-Bottom = Literal["none", "trousers", "jeans", "shorts"]
+Top = Literal[
+    "none", "t_shirt", "long_sleeve", "shirt", "jumper", "turtleneck", "hoodie", "jacket", "open_jacket", "coat",
+]  # fmt: skip
+Bottom = Literal["none", "trousers", "jeans", "shorts", "skirt", "long_skirt", "dress"]
 Shoes = Literal["none", "trainers", "leather"]
 Hair = Literal["bald", "short", "medium", "long", "bun"]
-_CHOICES = {"top": get_args(Top), "bottom": get_args(Bottom), "shoes": get_args(Shoes), "hair": get_args(Hair)}
+Headwear = Literal["none", "cap", "beanie", "hat", "hood", "headscarf"]
+Glasses = Literal["none", "clear", "sun"]
+_CHOICES = {
+    "top": get_args(Top), "bottom": get_args(Bottom), "shoes": get_args(Shoes), "hair": get_args(Hair),
+    "headwear": get_args(Headwear), "glasses": get_args(Glasses),
+}  # fmt: skip
+OVER_HAIR, COVERING_HAIR = ("cap", "beanie", "hat"), ("hood", "headscarf")
+"""Headwear from whose rim hair hangs, and that under which it lies flat."""
 
 _HAIR: Mapping[Hair, float] = MappingProxyType({"short": 4.0, "medium": 3.0, "long": 2.0, "bun": 1.0, "bald": 1.0})
 # How people wear their hair, of a hundred men and women who are not bald: assumed.
 _OF_MEN: Mapping[Hair, float] = MappingProxyType({"short": 78.0, "medium": 15.0, "long": 5.0, "bun": 2.0})
 _OF_WOMEN: Mapping[Hair, float] = MappingProxyType({"short": 17.0, "medium": 35.0, "long": 35.0, "bun": 13.0})
 _BALD_YEARS, _BALD_MEN = (25.0, 65.0), 0.25  # share of men who are bald, from none at the first age to all of it at the second
+
+# What outfits are drawn by, all assumed: the share of the cold season, and in each season what a kind of top is in particular.
+COLD = 0.35
+TOP_CUTS: Mapping[str, Mapping[str, Mapping[Top, float]]] = MappingProxyType(
+    {
+        "warm": {
+            "long_sleeve": {"long_sleeve": 0.5, "shirt": 0.5}, "jumper": {"jumper": 0.45, "hoodie": 0.4, "turtleneck": 0.15},
+            "jacket": {"jacket": 0.5, "open_jacket": 0.5},
+        },
+        "cold": {
+            "long_sleeve": {"long_sleeve": 0.5, "shirt": 0.5}, "jumper": {"jumper": 0.4, "hoodie": 0.3, "turtleneck": 0.3},
+            "jacket": {"jacket": 0.3, "open_jacket": 0.2, "coat": 0.5},
+        },
+    }
+)  # fmt: skip
+HANGING_SHARES: Mapping[Bottom, float] = MappingProxyType({"skirt": 0.08, "long_skirt": 0.05, "dress": 0.07})  # of women
+_HANGS = sum(HANGING_SHARES.values())
+OVER_DRESSES: tuple[Top, ...] = ("t_shirt", "long_sleeve", "open_jacket")  # tops that a dress has, or is worn under
+HEADWEAR_SHARES: Mapping[str, Mapping[Headwear, float]] = MappingProxyType(
+    {"warm": {"beanie": 0.01, "hat": 0.03}, "cold": {"beanie": 0.15, "hat": 0.02}}
+)
+HEADSCARF, HOOD_UP, _CAP = 0.06, 0.2, 0.12  # of women; of hoods; of who wears nothing else on the head
+SMALL_SHARES: Mapping[str, tuple[float, float, float, float]] = MappingProxyType(
+    {"warm": (0.12, 0.02, 0.0, 0.03), "cold": (0.05, 0.35, 0.15, 0.05)}  # sunglasses, scarf, gloves, mask
+)
 
 
 def hair_shares(gender: float, years: float) -> Mapping[Hair, float]:
@@ -36,7 +70,8 @@ def hair_shares(gender: float, years: float) -> Mapping[Hair, float]:
 class Outfit:
     """Clothing, hair and accessories of one person.
 
-    fit: 0 close, 1 loose · folds: number of the pattern of folds. Raises ConfigError for names that do not exist.
+    fit: 0 close, 1 loose · folds: number of the pattern of folds · number: which of the person's outfits it is, each with
+    colours of its own. Raises ConfigError for names that do not exist.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")  # where it is part of a configuration
@@ -46,10 +81,14 @@ class Outfit:
     shoes: Shoes = "trainers"
     hair: Hair = "short"
     beard: bool = False
-    cap: bool = False
-    glasses: bool = False
+    headwear: Headwear = "none"
+    glasses: Glasses = "none"
+    scarf: bool = False
+    gloves: bool = False
+    mask: bool = False
     fit: float = 0.5
     folds: int = 0
+    number: int = 0
 
     def __post_init__(self) -> None:
         for kind, known in _CHOICES.items():
@@ -60,22 +99,45 @@ class Outfit:
             raise ConfigError(f"outfit fit is {self.fit}", hint="0 is close, 1 is loose")
 
     @classmethod
-    def random(cls, *, rng: np.random.Generator, hair: Mapping[Hair, float] = _HAIR) -> Outfit:
-        """An everyday outfit; the same number of draws whatever comes out. hair: how common each style is."""
-        u = rng.random(8)
+    def random(cls, *, rng: np.random.Generator, hair: Mapping[Hair, float] = _HAIR, gender: float = 0.5) -> Outfit:
+        """An everyday outfit; the same number of draws whatever comes out.
 
-        def pick(x: float, weights: Mapping[Any, float]) -> str:
-            bounds = np.cumsum(list(weights.values()))
-            return list(weights)[int(np.searchsorted(bounds, x * bounds[-1], side="right"))]
-
+        hair: how common each style is · gender: 0 male to 1 female. Coats, scarves, gloves and beanies go
+        together, worn in the cold season. Shares are assumed.
+        """
+        u, folds = rng.random(8), int(rng.integers(1 << 16))
+        cold, cut, legs, head, *small = rng.random(8).tolist()
+        season = "cold" if cold < COLD else "warm"
+        top = _pick(u[0], {"t_shirt": 3, "long_sleeve": 2, "jumper": 2, "jacket": 2})
+        top = _pick(cut, TOP_CUTS[season].get(top, {top: 1.0}))
+        bottom = _pick(u[1], {"trousers": 4, "jeans": 4, "shorts": 1})
+        bottom = _pick(legs, {kind: gender * share for kind, share in HANGING_SHARES.items()} | {bottom: 1 - gender * _HANGS})
+        if bottom == "dress" and top not in OVER_DRESSES:
+            bottom = "skirt"
+        up = HOOD_UP if top == "hoodie" else 0.0
+        worn: dict[Headwear, float] = dict(HEADWEAR_SHARES[season]) | {"headscarf": gender * HEADSCARF, "hood": up}
+        headwear = _pick(head, worn | {"none": 1.0 - sum(worn.values())})
+        if u[5] < _CAP and headwear == "none":
+            headwear = "cap"
+        dark, scarf, gloves, mask = (x < share for x, share in zip(small, SMALL_SHARES[season], strict=True))
         return cls(
-            top=pick(u[0], {"t_shirt": 3, "long_sleeve": 2, "jumper": 2, "jacket": 2}),  # type: ignore[arg-type]
-            bottom=pick(u[1], {"trousers": 4, "jeans": 4, "shorts": 1}),  # type: ignore[arg-type]
-            shoes=pick(u[2], {"trainers": 3, "leather": 2}),  # type: ignore[arg-type]
-            hair=pick(u[3], hair),  # type: ignore[arg-type]
-            beard=bool(u[4] < 0.15),
-            cap=bool(u[5] < 0.12),
-            glasses=bool(u[6] < 0.3),
-            fit=float(u[7]),
-            folds=int(rng.integers(1 << 16)),
-        )
+            top=top, bottom=bottom, shoes=_pick(u[2], {"trainers": 3, "leather": 2}), hair=_pick(u[3], hair),
+            beard=bool(u[4] < 0.15), headwear=headwear, glasses="sun" if dark else "clear" if u[6] < 0.3 else "none",
+            scarf=scarf and headwear != "headscarf", gloves=gloves, mask=mask, fit=float(u[7]), folds=folds,
+        )  # fmt: skip
+
+    def redressed(self, other: Outfit) -> Outfit:
+        """The clothes of another outfit on the same person, who keeps hair, beard, sight, and a headscarf if it is worn."""
+        clear: Glasses = "clear" if self.glasses == "clear" else "none"
+        glasses: Glasses = other.glasses if other.glasses == "sun" else clear
+        if self.headwear == "headscarf":
+            other = replace(other, headwear="headscarf", scarf=False)
+        elif other.headwear == "headscarf":
+            other = replace(other, headwear="none")
+        return replace(other, hair=self.hair, beard=self.beard, glasses=glasses)
+
+
+def _pick(x: float, weights: Mapping[Any, float]) -> Any:
+    """The name at a share `x` (0..1) of the weights."""
+    bounds = np.cumsum(list(weights.values()))
+    return list(weights)[int(np.searchsorted(bounds, x * bounds[-1], side="right"))]

@@ -27,22 +27,28 @@ class Subject(NamedTuple):
 _ROWS: tuple[tuple[tuple[float, float, float, float, float, float, float], Outfit], ...] = (
     ((0.0, 0.50, 0.40, 0.68, 0.45, 0.3, 1.755), Outfit("t_shirt", "jeans", "trainers", "short", fit=0.5, folds=1)),
     ((1.0, 0.50, 0.25, 0.75, 0.45, 0.3, 1.620), Outfit("long_sleeve", "trousers", "leather", "long", fit=0.3, folds=2)),
-    ((1.0, 0.60, 0.25, 0.75, 0.42, 0.4, 1.500), Outfit("jumper", "trousers", "leather", "medium", glasses=True, folds=3)),
+    ((1.0, 0.60, 0.25, 0.75, 0.42, 0.4, 1.500), Outfit("jumper", "trousers", "leather", "medium", glasses="clear", folds=3)),
     ((0.0, 0.55, 0.40, 0.75, 0.48, 0.3, 1.870), Outfit("jacket", "trousers", "leather", "short", fit=0.6, folds=4)),
     ((0.5, 0.05, 0.50, 0.50, 0.48, 0.3, 1.400), Outfit("t_shirt", "shorts", "trainers", "medium", fit=0.7, folds=5)),
-    ((1.0, 1.00, 0.20, 0.85, 0.44, 0.5, 1.540), Outfit("jumper", "trousers", "leather", "bun", glasses=True, folds=6)),
-    ((0.0, 1.00, 0.30, 0.70, 0.45, 0.5, 1.690), Outfit("long_sleeve", "trousers", "leather", "bald", glasses=True, folds=7)),
+    ((1.0, 1.00, 0.20, 0.85, 0.44, 0.5, 1.540), Outfit("jumper", "trousers", "leather", "bun", glasses="clear", folds=6)),
+    ((0.0, 1.00, 0.30, 0.70, 0.45, 0.5, 1.690), Outfit("long_sleeve", "trousers", "leather", "bald", glasses="clear", folds=7)),
     ((0.0, 0.70, 0.20, 0.95, 0.46, 0.4, 1.780), Outfit("t_shirt", "jeans", "trainers", "short", beard=True, fit=0.6, folds=8)),
     ((1.0, 0.65, 0.10, 0.95, 0.44, 0.5, 1.640), Outfit("long_sleeve", "jeans", "trainers", "medium", fit=0.4, folds=9)),
     ((0.0, 0.45, 0.85, 0.55, 0.46, 0.1, 1.830), Outfit("t_shirt", "shorts", "trainers", "short", fit=0.2, folds=10)),
     ((1.0, 0.48, 0.60, 0.30, 0.47, 0.1, 1.720), Outfit("t_shirt", "jeans", "trainers", "bun", fit=0.2, folds=11)),
-    ((0.0, 0.40, 0.35, 0.25, 0.47, 0.4, 1.760), Outfit("jumper", "jeans", "trainers", "medium", cap=True, fit=0.9, folds=12)),
-    ((0.0, 0.80, 0.35, 0.80, 0.45, 0.4, 1.730), Outfit("jacket", "jeans", "leather", "short", beard=True, cap=True, folds=13)),
+    (
+        (0.0, 0.40, 0.35, 0.25, 0.47, 0.4, 1.760),
+        Outfit("jumper", "jeans", "trainers", "medium", headwear="cap", fit=0.9, folds=12),
+    ),
+    (
+        (0.0, 0.80, 0.35, 0.80, 0.45, 0.4, 1.730),
+        Outfit("jacket", "jeans", "leather", "short", beard=True, headwear="cap", folds=13),
+    ),
     ((1.0, 0.80, 0.25, 0.75, 0.44, 0.4, 1.600), Outfit("jacket", "trousers", "leather", "medium", fit=0.5, folds=14)),
     ((1.0, 0.38, 0.30, 0.60, 0.45, 0.2, 1.660), Outfit("t_shirt", "shorts", "trainers", "long", fit=0.4, folds=15)),
     ((0.0, 0.60, 0.45, 0.90, 0.44, 0.3, 1.680), Outfit("long_sleeve", "trousers", "trainers", "bald", beard=True, folds=16)),
-    ((0.0, 0.28, 0.40, 0.45, 0.46, 0.3, 1.610), Outfit("jumper", "trousers", "trainers", "short", glasses=True, folds=17)),
-    ((1.0, 0.52, 0.15, 0.80, 0.46, 0.5, 1.690), Outfit("jacket", "jeans", "leather", "long", glasses=True, fit=0.7, folds=18)),
+    ((0.0, 0.28, 0.40, 0.45, 0.46, 0.3, 1.610), Outfit("jumper", "trousers", "trainers", "short", glasses="clear", folds=17)),
+    ((1.0, 0.52, 0.15, 0.80, 0.46, 0.5, 1.690), Outfit("jacket", "jeans", "leather", "long", glasses="clear", fit=0.7, folds=18)),
 )
 _PERCENTILE = re.compile(rf"({'|'.join(POPULATIONS)})_(male|female)(?:_(\d+(?:\.\d+)?)y)?_p(\d+(?:\.\d+)?)")
 _CLOTHES = {

@@ -1,0 +1,80 @@
+"""Everything of an outfit that is cloth on its own, draped over a body in its close clothes and hair."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cabinpose.core import Floats, Floats32
+from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.folds import seen_chart
+from cabinpose.scene.body.garments import half_opening
+from cabinpose.scene.body.headgear import Head, beanie, hat, headscarf, hood, mask
+from cabinpose.scene.body.kinematics import RestArrays
+from cabinpose.scene.body.neckwear import Neck, hood_down, scarf, shirt_collar, stand_collar
+from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.body.sheets import Accessory, Cloud, drape
+from cabinpose.scene.body.skirts import HANGING, hanging
+
+_HEAD_M = 0.116  # height of the average adult's head over the eyes
+_ON_HEADS = {"beanie": beanie, "hat": hat, "headscarf": headscarf, "hood": hood}
+_AT_NECKS = {
+    "shirt": shirt_collar,
+    "turtleneck": stand_collar,
+    "coat": shirt_collar,
+    "open_jacket": shirt_collar,
+    "hoodie": hood_down,
+}
+
+
+def draped(
+    surface: Floats32, rest: RestArrays, eyes: Floats, head: tuple[float, float, float, float], outfit: Outfit
+) -> list[Accessory]:
+    """The cloth of an outfit over seen vertices (V + N, 3) m in close clothes and hair.
+
+    eyes: (3,) m between them · head: half width, front, back and top of the head from there.
+    """
+    c, everything = seen_chart(), Cloud(surface.astype(np.float64), np.arange(len(surface)))
+    neck = rest.heads[BONE_INDEX["neck01"]]
+    size = head[3] / _HEAD_M
+    made: list[Accessory] = []
+    collar = _AT_NECKS.get(outfit.top)
+    if (collar is not None and not (collar is hood_down and outfit.headwear == "hood")) or outfit.scarf:
+        at = Neck(everything.where((c.head + c.neck > 0.3) | ((c.up > 0.45) & (c.arm < 0.5))), neck, size)
+        if collar is not None and not (collar is hood_down and outfit.headwear == "hood"):
+            made += collar(at)
+        if outfit.scarf:
+            made += scarf(at)
+    if outfit.headwear in _ON_HEADS or outfit.mask:
+        there = (c.head + c.neck > 0.3) | ((c.up > 0.75) & (c.arm < 0.5))
+        there[1::2] = False  # half of the vertices are near enough to each other
+        somebody = Head(everything.where(there), eyes, neck, size)
+        if outfit.mask:
+            made += mask(somebody, head[0] + 0.002)
+        if outfit.headwear in _ON_HEADS:
+            made += _ON_HEADS[outfit.headwear](somebody)
+    if outfit.top == "open_jacket":
+        made += [_front(everything.where((c.arm < 0.4) & (c.up > -0.15) & (c.neck < 0.5)), neck, side) for side in (1.0, -1.0)]
+    for kind in (outfit.bottom, outfit.top):
+        if kind in HANGING:
+            legs = rest.heads[[BONE_INDEX["l" + bone] for bone in ("thigh", "shank", "foot")]]
+            below = everything.where((c.arm < 0.3) & (c.up < 0.5))
+            made.append(hanging(kind, below, (legs[0], legs[1], legs[2]), outfit.folds))
+    return made
+
+
+def _front(cloud: Cloud, neck: Floats, side: float) -> Accessory:
+    """The front of an open jacket, from its edge to where it lies on the chest; side: 1 left, -1 right."""
+    rows, columns = 30, 10
+    size = neck[2] / load_chart().heads["neck01"][2]
+    up, out = np.linspace(1.04, 0.03, rows)[:, None], np.linspace(0.0, 1.0, columns)
+    edge = size * (half_opening(up) - 0.006)
+    origin = np.zeros((rows, columns, 3)) + (-0.03, 0.0, 0.0)
+    origin[..., 1] = side * (edge + size * 0.085 * out)
+    origin[..., 2] = up * neck[2]
+    free = rp.power(1 - out, 1.5)
+    stands = 0.012 + 0.022 * np.clip((0.8 - up) / 0.6, 0.0, 1.0) + 0.004 * rp.sin(14.0 * up + side)
+    direction = np.broadcast_to((1.0, 0.0, 0.0), origin.shape)
+    made = drape(cloud, origin, direction, ball=0.03, off=0.004 - 0.009 * out**2 + free * stands, sweeps=10, closed=False)
+    return made.cloth(0.004, "synthetic_fabric", "top", closed=False)

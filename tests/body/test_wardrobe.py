@@ -1,0 +1,162 @@
+"""Clothes that are cloth on their own: closed, outside of the body, where they belong, and as common as is said."""
+
+from __future__ import annotations
+
+import collections
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+from scipy import stats
+from scipy.spatial import ConvexHull
+
+from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, PLACES, SUBJECTS, BodyModel, Outfit, outfit
+from cabinpose.scene.body.accessories import head_box
+from cabinpose.scene.body.garments import layer
+from cabinpose.scene.body.sheets import hull_radius
+from cabinpose.scene.body.wardrobe import draped
+
+MAN, WOMAN = "S01", "S02"
+PLAIN = Outfit("long_sleeve", "trousers", "trainers", "short")
+WORN = {
+    "collar": {"top": "shirt"}, "stand_collar": {"top": "turtleneck"}, "hood_down": {"top": "hoodie"},
+    "hood": {"top": "hoodie", "headwear": "hood"}, "open_jacket": {"top": "open_jacket"}, "coat": {"top": "coat"},
+    "scarf": {"scarf": True}, "headscarf": {"headwear": "headscarf"}, "beanie": {"headwear": "beanie"},
+    "hat": {"headwear": "hat"},
+    "mask": {"mask": True}, "skirt": {"bottom": "skirt"}, "long_skirt": {"bottom": "long_skirt"}, "dress": {"bottom": "dress"},
+}  # fmt: skip
+
+
+@cache
+def person(name: str, garment: str):
+    return BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, **WORN.get(garment, {})))
+
+
+def pieces(name: str, garment: str):
+    body = person(name, garment)
+    seen = layer(body.rest_skin, body.rest, body.outfit, 1.0).vertices
+    skin, middle = body.rest_skin.astype(np.float64), body.eye_centres.mean(axis=0)
+    return draped(seen, body.rest, middle, head_box(skin, middle), body.outfit)
+
+
+def seated() -> np.ndarray:
+    q = np.zeros(len(DOFS))
+    for side in "lr":
+        for axis, degrees in (("hip.flexion", 85), ("knee.flexion", 80), ("hip.abduction", 12)):
+            q[DOF_INDEX[f"{side}{axis}"]] = np.radians(degrees)
+    return q
+
+
+@pytest.mark.parametrize("garment", WORN)
+def test_every_piece_is_closed_and_turned_outwards(garment: str) -> None:
+    made = pieces(WOMAN, garment)
+    assert made
+    for piece in made:
+        mesh = trimesh.Trimesh(piece.vertices, piece.faces, process=False)
+        assert mesh.is_watertight
+        assert mesh.is_winding_consistent
+        assert mesh.volume > 0
+        np.testing.assert_allclose(piece.weights.sum(axis=1), 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [MAN, WOMAN])
+@pytest.mark.parametrize("garment", ["headscarf", "hood", "beanie", "hat", "mask", "skirt", "long_skirt", "coat"])
+def test_cloth_is_not_below_the_skin(name: str, garment: str) -> None:
+    """Its outer side against the whole bare body, by rays' parity and the nearest point."""
+    body = person(name, garment)
+    mesh = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)
+    cloth = max(pieces(name, garment), key=lambda piece: len(piece.vertices)).vertices
+    outer = cloth[: len(cloth) // 2]
+    inside = outer[mesh.contains(outer)]
+    if len(inside):
+        _, depth, _ = trimesh.proximity.closest_point(mesh, inside)
+        assert depth.max() < 0.004
+    _, off, _ = trimesh.proximity.closest_point(mesh, outer)
+    assert np.percentile(off, 50) < 0.07  # and it is worn, not hung up beside
+
+
+def test_a_hull_is_that_of_its_points() -> None:
+    """Against scipy's convex hull of two thighs, along rays from between them."""
+    points = np.concatenate([np.random.default_rng(3).normal((0.0, y), (0.05, 0.04), (300, 2)) for y in (-0.09, 0.09)])
+    normal, offset = np.split(ConvexHull(points).equations, [2], axis=1)
+    angle = np.linspace(0.0, 6.2, 50)
+    along = normal @ np.stack([np.cos(angle), np.sin(angle)])
+    exact = np.where(along > 1e-9, -offset / np.maximum(along, 1e-9), np.inf).min(axis=0)
+    assert (hull_radius(points, angle) / exact - 1.0).clip(0).max() < 0.04  # by 48 tangents, from outside
+    assert (hull_radius(points, angle) >= exact - 1e-9).all()
+
+
+@pytest.mark.parametrize("name", [MAN, WOMAN])
+@pytest.mark.parametrize("garment", ["skirt", "long_skirt", "dress"])
+def test_a_skirt_spans_the_lap(name: str, garment: str) -> None:
+    """Between the knees of who sits with the legs apart lies cloth, nearly as high as the thighs; with trousers there is none."""
+    heights = {}
+    for worn in (garment, "trousers"):
+        posed = person(name, worn).pose(seated(), np.eye(4))
+        surface = posed.surface(1)
+        knees = posed.bones[[i for i, b in enumerate(BONES) if b in ("lshank", "rshank")], :3, 3]
+        middle = 0.75 * knees.mean(axis=0)
+        mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+        hit, *_ = mesh.ray.intersects_location([[middle[0], 0.0, 1.0]], [[0.0, 0.0, -1.0]])
+        heights[worn] = hit[:, 2].max(initial=-1.0)
+        thigh, *_ = mesh.ray.intersects_location([[middle[0], 0.75 * knees[:, 1].max(), 1.0]], [[0.0, 0.0, -1.0]])
+    assert heights[garment] > thigh[:, 2].max() - 0.05
+    assert heights["trousers"] < heights[garment] - 0.06
+
+
+@pytest.mark.parametrize("name", [MAN, WOMAN, "S05"])
+def test_a_mask_covers_mouth_and_nose(name: str) -> None:
+    """And neither eye: what a ray from before the face meets first."""
+    body = BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, mask=True))
+    dressed, eyes = body.dressed, body.eye_centres
+    mesh = trimesh.Trimesh(dressed.rest, dressed.faces, process=False)
+    lips = dressed.rest[dressed.faces[dressed.is_lip]].mean(axis=(0, 1))
+    skin = body.rest_skin
+    front = (np.abs(skin[:, 1]) < 0.01) & (skin[:, 2] > lips[2] + 0.01) & (skin[:, 2] < eyes[0, 2] - 0.02)
+    face = skin[front]
+    nose = face[face[:, 0].argmax()]
+    points = np.stack([lips, nose, *eyes])
+    start = points * (0.0, 1.0, 1.0) + (1.0, 0.0, 0.0)
+    met = mesh.ray.intersects_first(start, np.tile((-1.0, 0.0, 0.0), (4, 1)))
+    assert [PLACES[dressed.worn[face]] for face in met] == ["mask", "mask", "", ""]
+
+
+def test_contact_sees_the_bare_body() -> None:
+    """The verdict on a pose is that of the skin, whatever is worn over it: no garment changes how often poses hold."""
+    skins = {person(WOMAN, garment).pose(seated(), np.eye(4)).skin.tobytes() for garment in ("", *WORN)}
+    assert len(skins) == 1
+
+
+@pytest.mark.parametrize("garment", ["hood", "coat", "long_skirt", "scarf"])
+def test_clothes_are_the_same_bytes(garment: str) -> None:
+    one, two = (BodyModel.load().person(SUBJECTS[WOMAN].phenotype, replace(PLAIN, **WORN[garment])).dressed for _ in range(2))
+    assert one.rest.tobytes() == two.rest.tobytes()
+    assert one.bone_weight.tobytes() == two.bone_weight.tobytes()
+
+
+@pytest.mark.parametrize("gender", [0.0, 1.0])
+def test_outfits_are_as_common_as_said(gender: float) -> None:
+    rng = np.random.Generator(np.random.Philox(11))
+    count = 6000
+    drawn = [Outfit.random(rng=rng, gender=gender) for _ in range(count)]
+    basic = {"t_shirt": 3 / 9, "long_sleeve": 2 / 9, "jumper": 2 / 9, "jacket": 2 / 9}
+    tops: collections.Counter[str] = collections.Counter()
+    for season, share in (("cold", outfit.COLD), ("warm", 1 - outfit.COLD)):
+        for top, often in basic.items():
+            for kind, part in outfit.TOP_CUTS[season].get(top, {top: 1.0}).items():
+                tops[kind] += share * often * part
+    seen = collections.Counter(each.top for each in drawn)
+    assert set(seen) == set(tops)
+    assert stats.chisquare([seen[kind] for kind in tops], [count * tops[kind] for kind in tops]).pvalue > 0.001
+    hanging = sum(each.bottom in outfit.HANGING_SHARES for each in drawn)
+    assert stats.binomtest(hanging, count, gender * sum(outfit.HANGING_SHARES.values())).pvalue > 0.001
+    for number, name in enumerate(("scarf", "gloves", "mask"), start=1):
+        share = outfit.COLD * outfit.SMALL_SHARES["cold"][number] + (1 - outfit.COLD) * outfit.SMALL_SHARES["warm"][number]
+        share *= 1 - gender * outfit.HEADSCARF if name == "scarf" else 1.0
+        assert stats.binomtest(sum(getattr(each, name) for each in drawn), count, share).pvalue > 0.001, name
+    beanies = (
+        outfit.COLD * outfit.HEADWEAR_SHARES["cold"]["beanie"] + (1 - outfit.COLD) * outfit.HEADWEAR_SHARES["warm"]["beanie"]
+    )
+    assert stats.binomtest(sum(each.headwear == "beanie" for each in drawn), count, beanies).pvalue > 0.001

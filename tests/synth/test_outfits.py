@@ -1,0 +1,82 @@
+"""People and their outfits: several to a person, the same person in all of them."""
+
+from __future__ import annotations
+
+import collections
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import cabinpose
+from cabinpose.core import ConfigError
+from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.exact import exact_config
+from cabinpose.synth.people import People
+from cabinpose.synth.person_look import look_of
+from cabinpose.synth.sample import SceneSampler
+from cabinpose.synth.streams import frame_rng
+from cabinpose.synth.subjects import Subjects
+
+SEED = 5
+FIRST = {"scene": {"kind": "cabin", "occupancy": {"driver": 1}}, "people": {"subjects": ["S02"]}}
+
+
+def config(**scene: object) -> SynthConfig:
+    return SynthConfig.model_validate(FIRST | {"scene": {**FIRST["scene"], **scene}})
+
+
+def test_outfits_differ_and_the_person_does_not() -> None:
+    subjects = Subjects(People(random={"count": 30}), SEED)  # type: ignore[arg-type]
+    clothes = collections.Counter()
+    for name in ("S01", "S02", *(f"R{i:04d}" for i in range(30))):
+        bodies = [subjects.body(name, number) for number in range(subjects.outfits(name))]
+        assert len(bodies) == 3
+        assert len({body for body, _ in bodies}) == 1
+        assert len({(o.hair, o.beard, o.headwear == "headscarf") for _, o in bodies}) == 1
+        clothes[len({(o.top, o.bottom, o.shoes, o.fit) for _, o in bodies})] += 1
+    assert clothes == {3: 32}
+    one, other = (subjects.person("S02", number) for number in (0, 1))
+    looks = [look_of(each, SEED, "S02") for each in (one, other)]
+    assert looks[0].tone == looks[1].tone
+    assert looks[0].hair == looks[1].hair
+    np.testing.assert_array_equal(looks[0].colours["hair"], looks[1].colours["hair"])
+    assert any((looks[0].colours[name] != looks[1].colours[name]).any() for name in ("top", "bottom", "shoes"))
+
+
+def test_outfits_are_worn_equally_often() -> None:
+    subjects = Subjects(People(), SEED)
+    worn = collections.Counter(subjects.worn("S07", index) for index in range(600))
+    assert stats.chisquare([worn[number] for number in range(3)]).pvalue > 0.001
+    assert {subjects.worn("S07", index, every=100) for index in range(100)} == {subjects.worn("S07", 0, every=100)}
+
+
+def test_own_people_have_one_outfit_or_a_list() -> None:
+    own = {"anna": {"outfit": {"top": "coat"}}, "bob": {"outfit": [{"top": "shirt"}, {"top": "hoodie", "headwear": "hood"}]}}
+    subjects = Subjects(People(own=own), SEED)  # type: ignore[arg-type]
+    assert subjects.outfits("anna") == 1
+    assert [subjects.body("bob", number)[1].top for number in range(subjects.outfits("bob"))] == ["shirt", "hoodie"]
+    with pytest.raises(ConfigError):
+        SceneSampler(
+            SynthConfig.model_validate(
+                {"people": {"own": own}, "scene": {"kind": "cabin", "occupants": {"driver": {"subject": "anna", "outfit": 1}}}}
+            ),
+            SEED,
+        ).sample(0, rng=frame_rng(SEED, 0))
+
+
+def test_a_sequence_has_one_outfit_and_labels_say_it() -> None:
+    settings = config(sequence={"frames": 3, "rate_hz": 10}).model_dump(mode="json")
+    frames = list(cabinpose.generate(frames=6, seed=SEED, config=settings))
+    worn = [tuple(frame["outfit"][0]) for frame in frames]
+    assert len(set(worn[:3])) == len(set(worn[3:])) == 1
+
+
+def test_a_kept_scene_keeps_the_outfit() -> None:
+    """In every frame, not only in the one that it is of."""
+    made = {index: SceneSampler(config(), SEED).sample(index, rng=frame_rng(SEED, index)) for index in range(5)}
+    index, scene = next((i, s) for i, s in made.items() if s.people[0].person.outfit.number)
+    kept = exact_config(config(), SEED, index)
+    again = SceneSampler(kept, SEED)
+    for other in (index, index + 1, index + 2):
+        assert again.sample(other, rng=frame_rng(SEED, other)).people[0].person.outfit == scene.people[0].person.outfit
