@@ -24,7 +24,7 @@ from cabinpose.synth.validate import Seated
 
 CLEAR_M = 0.05  # from the skin of anybody, who has clothes on: nothing is nearer
 _LENS_M = 0.15  # nor before a lens
-_STEEPEST = math.radians(28.0)  # of what things lie on
+_STEEPEST = rp.cos(math.radians(28.0))  # of what things lie on
 _PRESSED_M = 0.010  # into what they lie on, where that is curved
 _MIDDLE_VENTS_M, _BESIDE_SCREEN_M = 0.16, 0.21  # from the middle: vents up to there are beside the screen; of a mount
 _BAND_M = 0.04  # about the height at which glass is looked for
@@ -96,10 +96,9 @@ class Lying:
         result: list[_Lying] = []
         draws = rng.random((len(PLACES_OF_CLUTTER), 4))
         for (name, place), (chance, which, variant, spot) in zip(PLACES_OF_CLUTTER.items(), draws.tolist(), strict=True):
-            kind = _of_share(place.kinds, which)
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
-            found = self._puts(cast.cabin, name, kind, int(variant * VARIANTS), int(spot * 36.0))
+            found = self._puts(cast.cabin, name, _of_share(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
             if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
                 result.append(found)
         return tuple(PlacedThing(one.thing, one.at, "", "car") for one in result)
@@ -126,8 +125,11 @@ def _is_clear(
     if any((np.asarray(low < other.box[1]) & (other.box[0] < high)).all() for other in others):
         return False
     for body in bodies:
-        near = (np.asarray(body.skin > low - CLEAR_M) & (body.skin < high + CLEAR_M)).all(axis=1)
-        if near.any():
+        near = body.skin
+        for axis in range(3):  # few are left after the first
+            along = near[:, axis]
+            near = near[np.asarray(along > low[axis] - CLEAR_M) & (along < high[axis] + CLEAR_M)]
+        if len(near):
             return False
     if placed is None:
         return True
@@ -238,7 +240,7 @@ def _laid(thing: Thing, corners: Floats, where: Floats, yaw: float, place: Place
     slope = rp.solve(rp.matmul(columns.T, columns), rp.matmul(columns.T, heights))
     normal = np.array((-slope[0], -slope[1], 1.0))
     normal /= rp.norm(normal)
-    if normal[2] < math.cos(_STEEPEST):
+    if normal[2] < _STEEPEST:
         return None
     above = float((heights - rp.matmul(columns, slope)).max())
     if above > _PRESSED_M:  # it would rock

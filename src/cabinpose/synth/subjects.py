@@ -132,7 +132,8 @@ class Subjects:
     def _make_person(self, name: str, number: int) -> Person:
         if name in SUBJECTS and not number and not self._people.asymmetric:
             return _named_person(name)
-        return BodyModel.load().person(*self.body(name, number))
+        phenotype, outfit = self.body(name, number)
+        return self._person(name, 0).redressed(outfit) if number else BodyModel.load().person(phenotype, outfit)
 
 
 def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:

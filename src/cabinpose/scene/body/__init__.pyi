@@ -8,6 +8,7 @@ from .joints import joints_in_body as joints_in_body
 from .kinematics import RestArrays as RestArrays
 from .kinematics import main_frames as main_frames
 from .model import BodyModel as BodyModel
+from .model import Build as Build
 from .model import Person as Person
 from .model import PosedBody as PosedBody
 from .outfit import Outfit as Outfit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import cache, cached_property
 from types import MappingProxyType
@@ -30,6 +31,10 @@ from cabinpose.scene.body.skeleton import CLOSING, rest_arrays, rig_points
 from cabinpose.scene.surface import Surface
 
 
+class Build:
+    """Stands for what a person's outfits have in common, shape and soles: a key for what is kept of it."""
+
+
 class Person:
     """One person: a shape and an outfit, ready to be posed. Made by `BodyModel.person`."""
 
@@ -39,12 +44,24 @@ class Person:
         self._space = space
         skin, heads = shape_of(phenotype)
         self.rest, origin = rest_arrays(skin.astype(np.float64), heads, space.heads)
-        self.rest.soles[:, :3, 3] -= (HEEL_BACK_M, 0.0, SOLE_M[outfit.shoes]) if outfit.shoes != "none" else (0.0, 0.0, 0.0)
+        self.rest.soles[:, :3, 3] -= _under_soles(outfit)
         self.rest_skin: Floats32 = (skin - origin).astype(np.float32)
         self._rig_points = rig_points(heads - origin, space.heads, self.rest)
         self.eye_centres: Floats = heads[[space.heads["leye"], space.heads["reye"]]] - origin  # (2, 3) m, of left and right
         self.eyes_rest: Floats = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
         self.stature_m = phenotype.size.stature_m if phenotype.size else float(np.ptp(skin[:, 2]))
+        self.build = Build()
+
+    def redressed(self, outfit: Outfit) -> Person:
+        """The same person in another outfit; what is known of the shape is shared."""
+        other = copy(self)
+        other.outfit = outfit
+        other.__dict__.pop("dressed", None)
+        if outfit.shoes != self.outfit.shoes:
+            soles = self.rest.soles.copy()
+            soles[:, :3, 3] += _under_soles(self.outfit) - _under_soles(outfit)
+            other.rest, other.build = self.rest._replace(soles=soles), Build()
+        return other
 
     @property
     def skin_faces(self) -> Ints32:
@@ -244,6 +261,11 @@ class BodyModel:
                 hint=f"with muscle {phenotype.muscle:g} from {math.ceil(masses[0])} to {math.floor(masses[-1])} kg",
             )
         return replace(phenotype, weight=float(np.interp(mass_kg, masses, weights)))
+
+
+def _under_soles(outfit: Outfit) -> Floats:
+    """(3,) m by which shoes bring the soles back and down."""
+    return np.array((HEEL_BACK_M, 0.0, SOLE_M[outfit.shoes]) if outfit.shoes != "none" else (0.0, 0.0, 0.0))
 
 
 @cache

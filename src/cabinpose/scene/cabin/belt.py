@@ -32,7 +32,7 @@ _COLLAR, _PAD = 0.48, 0.62  # from the neck to a shoulder: where a belt lies on 
 _CREASE = (0.14, 0.03)  # along the thighs from the hips, and above their bones (m of an adult)
 # Of a harness, by the width of its straps: the buckle, across, up, and out of the body; and where its two tongues go into it.
 _BUCKLE, _TONGUES = np.array((1.25, 1.6, 0.55)), np.array(((0.32, 0.55, 0.05), (-0.32, 0.55, 0.05)))
-_UNDER = (0.2, 0.12)  # along the legs and down (m of an adult): from the buckle to where the strap between them leaves the cushion
+_UNDER = (0.2, 0.12)  # along the legs and down (m of an adult): from the buckle to where their strap leaves the cushion
 _BESIDE_M, _OVER_RIM_M, _HANGS_M = 0.02, 0.006, (0.035, 0.14)  # of a loose strap: its rim, and how it hangs there, out and down
 # Of the tongue of a belt that hangs: how far down to the lap's anchor it is, off that line to the door and to the back (assumed).
 _DOWN, _TO_DOOR_M, _TO_BACK_M = 0.42, 0.04, 0.06

@@ -8,7 +8,7 @@ from threading import Lock
 from typing import TypeVar, TypeVarTuple, Unpack
 from weakref import WeakKeyDictionary
 
-from cabinpose.scene.body import Person
+from cabinpose.scene.body import Build, Person
 
 R = TypeVar("R")
 Args = TypeVarTuple("Args")
@@ -19,15 +19,15 @@ def kept_with_person(function: Callable[[Person, Unpack[Args]], R]) -> Callable[
     """Decorator: cache the results of a function of a person and hashable positional arguments.
 
     Unlike `lru_cache` it holds the person by a weak reference only, so that the thousands of random people of a large dataset
-    can be freed. The results must not refer to the person either.
+    can be freed. The results must not refer to the person either. All outfits of a person with the same soles share them.
     """
-    known: WeakKeyDictionary[Person, dict[Hashable, R]] = WeakKeyDictionary()
+    known: WeakKeyDictionary[Build, dict[Hashable, R]] = WeakKeyDictionary()
     lock = Lock()
 
     @wraps(function)
     def remembered(person: Person, *args: *Args) -> R:
         with lock:
-            mine = known.setdefault(person, {})
+            mine = known.setdefault(person.build, {})
             if args in mine:
                 return mine[args]
         result = function(person, *args)  # two threads may both come here: the results are equal
