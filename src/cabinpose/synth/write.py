@@ -154,7 +154,9 @@ def _frames(plan: PartPlan) -> range:
     return range(plan.first, plan.first + plan.frames)
 
 
-def _sequences_ahead(maker: FrameMaker, plans: Sequence[PartPlan], threads: int) -> Callable[[int], Iterator[Callable[[], object]]]:
+def _sequences_ahead(
+    maker: FrameMaker, plans: Sequence[PartPlan], threads: int
+) -> Callable[[int], Iterator[Callable[[], object]]]:
     """What is to be done before a frame so that no thread waits: as many sequences are planned as there are threads."""
     sequence = maker.config.scene.sequence
     planned = -1
