@@ -51,15 +51,14 @@ _COARSE = MappingProxyType(
 _THINGS = (
     (80, "infant_seat", 0xF06EAA), (81, "child_seat", 0xA03CC8), (82, "box", 0xB98C50), (83, "bag", 0x963232),
     (84, "backpack", 0x3264B4), (85, "bottle", 0xD2FF3C), (86, "cup", 0xE6AAFF), (87, "book", 0x78B45A), (88, "laptop", 0x64788C),
-    (89, "phone", 0xFF7828), (90, "blanket", 0x8CD2C8), (91, "jacket", 0x3C6E5A),
-    (93, "food", 0xD9A441),
+    (89, "phone", 0xFF7828), (90, "blanket", 0x8CD2C8), (91, "jacket", 0x3C6E5A), (93, "food", 0xD9A441),
 )  # fmt: skip
 # 34, "person", and 92, "accessory", are kept for imports of TICaM (`store.convert.ticam`): no generated dataset has them.
 # Classes of TICaM (Katrolia et al. 2021), beside its 0 for the background and 1 for people; 8 is its "accessory".
 _TICAM = MappingProxyType(
     {
         "backpack": 2, "box": 4, "bottle": 5, "phone": 6, "cup": 8, "book": 9, "laptop": 10, "bag": 13, "child_seat": 14,
-        "infant_seat": 15, "jacket": 3, "blanket": 7,
+        "infant_seat": 15, "jacket": 3, "blanket": 7, "food": 8,
     }
 )  # fmt: skip
 

@@ -154,12 +154,14 @@ def _frames(plan: PartPlan) -> range:
     return range(plan.first, plan.first + plan.frames)
 
 
-def _sequences_ahead(maker: FrameMaker, plans: Sequence[PartPlan], threads: int) -> Callable[[int], Iterator[Callable[[], None]]]:
+def _sequences_ahead(
+    maker: FrameMaker, plans: Sequence[PartPlan], threads: int
+) -> Callable[[int], Iterator[Callable[[], object]]]:
     """What is to be done before a frame so that no thread waits: as many sequences are planned as there are threads."""
     sequence = maker.config.scene.sequence
     planned = -1
 
-    def before(index: int) -> Iterator[Callable[[], None]]:
+    def before(index: int) -> Iterator[Callable[[], object]]:
         nonlocal planned
         if sequence is None:
             return
@@ -175,7 +177,7 @@ def _in_order(
     function: Callable[[int], _Made],
     items: Iterable[int],
     threads: int,
-    before: Callable[[int], Iterable[Callable[[], None]]],
+    before: Callable[[int], Iterable[Callable[[], object]]],
 ) -> Generator[_Made]:
     """Results in the order of the items, worked out by threads at most a few items ahead; `before` an item, more to do."""
     if threads == 1:

@@ -34,6 +34,7 @@ _CREASE = (0.14, 0.03)  # along the thighs from the hips, and above their bones 
 _BUCKLE, _TONGUES = np.array((1.25, 1.6, 0.55)), np.array(((0.32, 0.55, 0.05), (-0.32, 0.55, 0.05)))
 _UNDER = (0.2, 0.12)  # along the legs and down (m of an adult): from the buckle to where their strap leaves the cushion
 _BESIDE_M, _OVER_RIM_M, _HANGS_M = 0.02, 0.006, (0.035, 0.14)  # of a loose strap: its rim, and how it hangs there, out and down
+_PAST_M = 0.15  # of a tongue from the middle of the body, towards its buckle
 # Of the tongue of a belt that hangs: how far down to the lap's anchor it is, off that line to the door and to the back (assumed).
 _DOWN, _TO_DOOR_M, _TO_BACK_M = 0.42, 0.04, 0.06
 STEPS = 40  # cross-sections of a ribbon
@@ -130,16 +131,22 @@ class Wearer(NamedTuple):
     def belt_in_hand(self, seat: Seat, setting: SeatSetting, cabin: Cabin, tongue: Vector, *, gap_m: float = 0.004) -> Surface:
         """The belt of a seat while a hand draws it across: from its guide to the tongue, and from there to the lap's anchor.
 
-        tongue: (3,) m, vehicle frame. Raises what `belt` does.
+        Until the tongue is past the middle of the body it is straight between anchors, collar bone, hip and tongue; then it lies
+        on the body as a worn one. tongue: (3,) m, vehicle frame. Raises what `belt` does.
         """
         anchors, body = _anchors(seat, setting, cabin), _Trunk.of(self)
-        front = 0.4 * body.ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
-        collar = body.collar(body.shoulder_at(anchors.upper))
-        lap = 0.5 * (anchors.outer_lap + tongue) + body.size * (0.10 * body.ahead + 0.05 * body.up)
-        courses = (
-            _Course(anchors.upper, _kept_in_front(anchors.upper, collar, tongue, front), tongue, front),
-            _Course(anchors.outer_lap, lap, tongue, body.ahead + body.up, lap=True),
-        )
+        outer = min((body.at["lpelvis"], body.at["rpelvis"]), key=lambda hip: rp.norm(hip - anchors.outer_lap))
+        over = body.collar(body.shoulder_at(anchors.upper)) + body.size * (0.08 * body.ahead + 0.07 * body.up)
+        before = outer + body.size * (0.14 * body.ahead + 0.05 * body.up)
+        ways = ((anchors.upper, over), (over, tongue), (anchors.outer_lap, before), (before, tongue))
+        courses = [_Course(a, a + body.ahead, b, None) for a, b in ways]
+        inwards = anchors.buckle - anchors.outer_lap
+        if rp.matmul(tongue - body.pelvis, inwards) > _PAST_M * rp.norm(inwards):
+            front, up = 0.4 * body.ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0], body.ahead + body.up
+            collar = body.collar(body.shoulder_at(anchors.upper))
+            through = _kept_in_front(anchors.upper, collar, tongue, front)
+            lap = body.pelvis + body.size * (0.10 * body.ahead + 0.065 * body.up)
+            courses = [_Course(anchors.upper, through, tongue, front), _Course(anchors.outer_lap, lap, tongue, up, lap=True)]
         return merge([_ribbon(body, course, gap_m) for course in courses])
 
     def harness(self, slots: Floats, hips: Floats, *, gap_m: float = 0.004, width_m: float = WEBBING_WIDTH) -> Surface:

@@ -172,9 +172,9 @@ OBJECTS: Mapping[str, Kind] = MappingProxyType(
         "book": Kind("book", _book, "stands", on_lap=True),
         "laptop": Kind("laptop", _laptop, "stands", on_lap=True),
         "phone": Kind("phone", _phone, "stands", held_at=("ear", "chest")),
+        "open_book": Kind("book", _open_book, held_at=("book",)),  # a book that is read
         "sandwich": Kind("food", _sandwich, held_at=("bite",)),
         "apple": Kind("food", _apple, held_at=("bite",)),
-        "open_book": Kind("book", _open_book, held_at=("book",)),  # a book that is read
         "blanket": Cloth("blanket"),
         "jacket": Cloth("jacket", half_m=(0.17, 0.22), thick_m=(0.016, 0.016), material="synthetic_fabric", sleeves=True),
     }

@@ -179,9 +179,6 @@ _STEPS = (
         "turn_back", EITHER, THIGH, Gaze((125.0, 10.0), (-14.0, 6.0), either_side=True),
         trunk={"thorax.rotation": (24.0, 4.0), "lumbar.rotation": (7.0, 2.0), "lumbar.flexion": (3.0, 2.0)}, weight=0.0,
     ),
-    Action("take_tongue", TONGUE, EITHER, _HAND, weight=0.0),
-    Action("plug_tongue", BUCKLE, EITHER, _HAND, trunk={"lumbar.flexion": (3.0, 2.0)}, weight=0.0),
-    Action("bite", BITE, EITHER, Gaze((0.0, 8.0), (-8.0, 5.0)), weight=0.0, in_hand="always"),
     Action("at_mouth", MOUTH, EITHER, Gaze((0.0, 8.0), (-4.0, 5.0)), weight=0.0),
     Action(
         "reach_floor", SHIN, THIGH, Gaze((0.0, 10.0), (-40.0, 6.0)),
@@ -191,6 +188,9 @@ _STEPS = (
         "reach_beside", BESIDE, EITHER, Gaze((25.0, 8.0), (-30.0, 6.0), either_side=True),
         trunk={"lumbar.lateral": (12.0, 3.0), "thorax.lateral": (8.0, 2.0), "lumbar.flexion": (3.0, 2.0)}, weight=0.0,
     ),
+    Action("take_tongue", TONGUE, EITHER, _HAND, weight=0.0),
+    Action("plug_tongue", BUCKLE, EITHER, _HAND, trunk={"lumbar.flexion": (3.0, 2.0)}, weight=0.0),
+    Action("bite", BITE, EITHER, Gaze((0.0, 8.0), (-8.0, 5.0)), weight=0.0, in_hand="always"),
 )  # fmt: skip
 
 # What occupants do, by name.
