@@ -175,7 +175,7 @@ class Spread:
             "hands_touch": {n: shares(counts, counts.total()) for n, counts in sorted(self._counts["hands_touch"].items())},
             "at_limit": {role: shares(counts, number[role]) for role, counts in self._counts["at_limit"].items()},
             "front_passengers": shares(front, front["all"]) if (front := self._counts["front_passengers"]["seen"]) else {},
-            "knees_left_right": {role: round(float(np.corrcoef(*(values[f"{s}knee angle, deg"] for s in "lr"))[0, 1]), 3)
+            "knees_left_right": {role: round(float(np.corrcoef(values["lknee angle, deg"], values["rknee angle, deg"])[0, 1]), 3)
                                  for role, values in self._values.items()},
             "seat_by_stature": {car: line([r for r in self._seats if car in (r[0], "all")])
                                 for car in (*sorted({r[0] for r in self._seats}), "all")},

@@ -36,11 +36,11 @@ def test_the_line_of_sight_is_the_gaze_that_turned_the_head(yaw: float, pitch: f
 def test_the_target_is_what_the_eye_sees_in_the_middle() -> None:
     """Every part rendered by itself, from between the eyes along the gaze: the nearest in the middle is the target."""
     config = small_config(motion={"driver": {"look_mirror": 0.3, "drive": 0.3, "phone_text": 1.0}})
-    sampler = SceneSampler(config, 2)
+    sampler = SceneSampler(config, 4)
     eye = Rasteriser(Camera.from_fov(65, 65, 0.5), supersample=1)
     told = set()
     for index in range(12):
-        scene = sampler.sample(index, rng=frame_rng(2, index))
+        scene = sampler.sample(index, rng=frame_rng(4, index))
         labels = gaze_labels(scene, SLOTS, target=True)
         (person,), target = scene.people, labels["gaze_target"][0]
         start = person.posed.eyes_m

@@ -144,7 +144,7 @@ def with_leg_room(settings: Mapping[str, SeatSetting], people: Mapping[str, Pers
         thigh = person.segment_lengths["thigh"]
         knee = hip + slide + _RAISED_THIGH * thigh + _KNEE_M
         h_point = front.h_point(own)
-        above = 0.57 * thigh + float(seat.h_point(settings[slot])[2] - h_point[2])
+        above = np.sqrt(1.0 - _RAISED_THIGH**2) * thigh + float(seat.h_point(settings[slot])[2] - h_point[2])
         back = float(h_point[0]) - front.backrest_behind_h_m - _BACKREST_M - above * float(rp.tan(own.torso_angle))
         moved = min(max(knee - back, 0.0), _MOVED_M[before])
         result[before] = replace(own, fore_aft_m=min(own.fore_aft_m + moved, max(front.ranges[1].fore_aft_m, own.fore_aft_m)))
