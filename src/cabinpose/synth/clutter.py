@@ -238,7 +238,7 @@ def _laid(thing: Thing, corners: Floats, where: Floats, yaw: float, place: Place
     slope = rp.solve(rp.matmul(columns.T, columns), rp.matmul(columns.T, heights))
     normal = np.array((-slope[0], -slope[1], 1.0))
     normal /= rp.norm(normal)
-    if normal[2] < math.cos(_STEEPEST):
+    if normal[2] < rp.cos(_STEEPEST):
         return None
     above = float((heights - rp.matmul(columns, slope)).max())
     if above > _PRESSED_M:  # it would rock
