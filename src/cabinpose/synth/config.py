@@ -129,9 +129,7 @@ class CabinScene(Model):
         0.0, exclude_if=operator.not_, description="Share of infant carriers in which an infant of up to a year lies."
     )
     toddlers: Probability = Field(
-        0.0,
-        exclude_if=operator.not_,
-        description="Share of the children in toddler seats who are 9 months to 3 years old, in place of 3 years and more.",
+        0.0, exclude_if=operator.not_, description="Share of the children in toddler seats who are 9 months to 3 years old."
     )
     loose_children: Mapping[str, Choice] = Field(
         {},
