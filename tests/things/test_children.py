@@ -21,7 +21,7 @@ from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.streams import frame_rng
 
-SUV = {"cars": ["suv"], "occupancy": {}, "right_hand_drive": 0.0}
+SUV = {"cars": ["suv"], "occupancy": {}, "right_hand_drive": 0.0, "clutter": 0.0}
 
 
 def config(kind: str, slot: str = "rear_left", **scene: object) -> SynthConfig:

@@ -96,7 +96,9 @@ def test_scenes_with_things_hold_exactly(scene: dict[str, object]) -> None:
 
 
 def test_pixels_of_what_is_held_are_its_holders() -> None:
-    config = SynthConfig.parse({"scene": {"cars": ["suv"], "occupancy": {"driver": 1.0}, "motion": {"driver": {"drink": 1.0}}}})
+    config = SynthConfig.parse(
+        {"scene": {"cars": ["suv"], "occupancy": {"driver": 1.0}, "motion": {"driver": {"drink": 1.0}}, "clutter": 0}}
+    )
     scene = SceneSampler(config, 0).sample(0, rng=frame_rng(0, 0))
     (held,) = scene.things
     assert held.at == "hand"

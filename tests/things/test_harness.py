@@ -26,7 +26,7 @@ def children(kind: str, count: int, **scene: Any) -> list[ScenePerson]:
     """The child of each of some scenes in a child seat of a kind."""
     young = {"infants": 1.0} if kind == "infant" else {"children": 1.0, "toddlers": 0.5}
     data = {"cars": ["suv"], "occupancy": {}, "occupants": {"rear_left": {}}, "right_hand_drive": 0.0, "belted": 1.0,
-            "child_seats": {"rear_left": kind}} | young | scene  # fmt: skip
+            "child_seats": {"rear_left": kind}, "clutter": 0.0} | young | scene  # fmt: skip
     sampler = SceneSampler(SynthConfig.parse({"scene": data}), 0)
     return [sampler.sample(i, rng=frame_rng(0, i)).people[0] for i in range(count)]
 
@@ -43,7 +43,9 @@ def test_straps_lie_on_the_trunk_and_not_in_it(kind: str, width_m: float, near: 
         assert child.belt == "harness"
         skin, harness = child.surfaces
         assert set(harness.label) == {LABEL_ID["seat_belt"]}
-        assert trimesh.Trimesh(harness.vertices.astype(float), harness.faces, process=True).is_watertight
+        laid = (harness.faces < RIBBON * len(STRAPS)).all(axis=1)  # whose stations may fall together
+        for faces, merged in ((harness.faces[laid], False), (harness.faces[~laid], True)):
+            assert trimesh.Trimesh(harness.vertices.astype(float), faces, process=merged).is_watertight
         body = trimesh.Trimesh(skin.vertices.astype(float), skin.faces, process=False)
         for name in ("left", "right"):
             rows = strap(child, name)

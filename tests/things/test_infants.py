@@ -21,7 +21,7 @@ BABY = {"baby": {"years": 0.3, "gender": "female"}, "kid": {"years": 4}, "tot": 
 
 
 def config(**scene: Any) -> SynthConfig:
-    scene = {"cars": ["suv"], "occupancy": {}, "right_hand_drive": 0.0} | scene
+    scene = {"cars": ["suv"], "occupancy": {}, "right_hand_drive": 0.0, "clutter": 0.0} | scene
     return SynthConfig.parse({"scene": scene, "people": {"own": BABY}})
 
 

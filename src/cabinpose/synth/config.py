@@ -31,7 +31,7 @@ from cabinpose.core import (
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import BeltMisuse
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
-from cabinpose.scene.things import CLUTTER, THINGS, Attachment
+from cabinpose.scene.things import Attachment
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
@@ -52,7 +52,7 @@ from cabinpose.synth.things import (
     check_held,
     check_loose,
     check_shares,
-    is_cloth,
+    cloth_labels_of,
     weights_of,
 )
 
@@ -130,9 +130,7 @@ class CabinScene(Model):
         0.0, exclude_if=operator.not_, description="Share of infant carriers in which an infant of up to a year lies."
     )
     toddlers: Probability = Field(
-        0.0,
-        exclude_if=operator.not_,
-        description="Share of the children in toddler seats who are 9 months to 3 years old, in place of 3 years and more.",
+        0.0, exclude_if=operator.not_, description="Share of the children in toddler seats who are 9 months to 3 years old."
     )
     loose_children: Mapping[str, Choice] = Field(
         {},
@@ -153,13 +151,7 @@ class CabinScene(Model):
         description=f"By seat: {', '.join(ON_SEATS)}, any (of these), {', '.join(CLOTH)}, or how likely each is, on the seat or"
         " on the lap of whoever sits there.",
     )
-    clutter: float = Field(
-        1.0,
-        ge=0.0,
-        le=10.0,
-        description="How much lies about in cars, in cup holders, on dashboards and floors: 1 as is usual (assumed), 0: nothing."
-        " In sequences there is none.",
-    )
+    clutter: float = Field(1.0, ge=0.0, le=10.0, description="How much lies about, not in sequences: 1 is usual, 0 nothing.")
     in_hand: Probability = Field(
         0.0,
         exclude_if=operator.not_,
@@ -189,10 +181,8 @@ class CabinScene(Model):
     @property
     def cloth_labels(self) -> frozenset[str]:
         """The classes of what may be draped over seats and laps."""
-        named = {kind for choice in self.objects.values() for kind in weights_of(choice, ())}
-        draped = {thing.kind for thing in self.things if thing.where != "car"} | named
-        hung = {"hung_jacket"} if self.lies_about else {thing.kind for thing in self.things} & set(CLUTTER)
-        return frozenset((*(THINGS[k].label for k in draped if is_cloth(k)), *(CLUTTER[k].label for k in hung)))
+        named = {kind for choice in self.objects.values() for kind in weights_of(choice, ())} | {t.kind for t in self.things}
+        return cloth_labels_of(named | ({"hung_jacket"} if self.lies_about else set()))
 
     @property
     def lies_about(self) -> bool:

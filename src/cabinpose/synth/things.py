@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,6 +15,7 @@ from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
 from cabinpose.scene.things import (
     CHILD_SEATS,
+    CLUTTER,
     LEANING,
     NOTHING_PLACED,
     OBJECTS,
@@ -122,6 +123,12 @@ def check_loose(loose: Mapping[str, Choice], taken: Sequence[str]) -> None:
 def is_cloth(kind: str) -> bool:
     """Whether a kind is draped over seats and laps."""
     return isinstance(THINGS[kind], Cloth)
+
+
+def cloth_labels_of(kinds: Iterable[str]) -> frozenset[str]:
+    """The classes of cloth and of what hangs, of some kinds."""
+    labels = {CLUTTER[kind].label if kind in CLUTTER else THINGS[kind].label for kind in kinds}
+    return CLOTH_LABELS & labels
 
 
 def check_shares(where: str, weights: Mapping[Name, float]) -> None:

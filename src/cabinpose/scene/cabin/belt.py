@@ -29,7 +29,7 @@ WEBBING_THICKNESS = 0.0015
 _ASIDE = np.radians(60.0)  # from straight ahead, as far as a collar bone leads the belt
 _BETWEEN_M = 0.08  # by which one shoulder is nearer to the anchor than the other, where the belt lies on that one alone
 _COLLAR, _PAD = 0.48, 0.62  # from the neck to a shoulder: where a belt lies on it, and the pads of a harness
-_CREASE = (0.14, 0.03)  # along the thighs from the hips, and above their bones (m of an adult)
+_CREASE = (0.12, 0.03)  # along the thighs from the hips, and above their bones (m of an adult)
 # Of a harness, by the width of its straps: the buckle, across, up, and out of the body; and where its two tongues go into it.
 _BUCKLE, _TONGUES = np.array((1.25, 1.6, 0.55)), np.array(((0.32, 0.55, 0.05), (-0.32, 0.55, 0.05)))
 _UNDER = (0.2, 0.12)  # along the legs and down (m of an adult): from the buckle to where their strap leaves the cushion
