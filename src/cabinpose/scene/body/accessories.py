@@ -189,7 +189,9 @@ def glasses(skin: Floats, eyes: Floats, *, sun: bool) -> list[Accessory]:
         j = np.arange(24)
         lens = np.stack([j, (j + 1) % 24, np.full(24, 24)], axis=1).astype(np.int32)
         parts.append(
-            rigid(np.concatenate([rim, middle[None]]) + eyes, lens, "head", "glasses", "hard_plastic" if sun else "spectacle_lens")
+            rigid(
+                np.concatenate([rim, middle[None]]) + eyes, lens, "head", "glasses", "hard_plastic" if sun else "spectacle_lens"
+            )
         )
         section = ((0.0, 0.0018), (0.0032, 0.0018), (0.0032, -0.0018), (0.0, -0.0018))
         ring = np.stack([_ring(rim, middle, grow, shift) for grow, shift in section]).reshape(-1, 3)
