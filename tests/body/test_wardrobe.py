@@ -91,19 +91,24 @@ def test_a_hull_is_that_of_its_points() -> None:
 @pytest.mark.parametrize("name", [MAN, WOMAN])
 @pytest.mark.parametrize("garment", ["skirt", "long_skirt", "dress"])
 def test_a_skirt_spans_the_lap(name: str, garment: str) -> None:
-    """Between the knees of who sits with the legs apart lies cloth, nearly as high as the thighs; with trousers there is none."""
-    heights = {}
+    """From thigh to thigh of who sits with the legs apart all that is seen from above is cloth, at the thighs' height; of
+    trousers there is none in the middle.
+    """
+    met = {}
     for worn in (garment, "trousers"):
-        posed = person(name, worn).pose(seated(), np.eye(4))
-        surface = posed.surface(1)
-        knees = posed.bones[[i for i, b in enumerate(BONES) if b in ("lshank", "rshank")], :3, 3]
-        middle = 0.75 * knees.mean(axis=0)
+        body = person(name, worn)
+        posed = body.pose(seated(), np.eye(4))
+        surface, knees = posed.surface(1), posed.bones[[BONES.index(side + "shank") for side in "lr"], :3, 3]
+        across = np.linspace(0.75, -0.75, 9)[:, None] * (knees[0] - knees[1]) / 2 * (0.0, 1.0, 0.0)
+        above = 0.7 * knees.mean(axis=0) * (1.0, 0.0, 0.0) + across + (0.0, 0.0, 1.0)
         mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-        hit, *_ = mesh.ray.intersects_location([[middle[0], 0.0, 1.0]], [[0.0, 0.0, -1.0]])
-        heights[worn] = hit[:, 2].max(initial=-1.0)
-        thigh, *_ = mesh.ray.intersects_location([[middle[0], 0.75 * knees[:, 1].max(), 1.0]], [[0.0, 0.0, -1.0]])
-    assert heights[garment] > thigh[:, 2].max() - 0.05
-    assert heights["trousers"] < heights[garment] - 0.06
+        face = mesh.ray.intersects_first(above, np.tile((0.0, 0.0, -1.0), (9, 1)))
+        height = np.where(face >= 0, mesh.triangles_center[face][:, 2], -1.0)
+        met[worn] = height, [PLACES[body.dressed.worn[f]] for f in face]
+    height, place = met[garment]
+    assert set(place) == {"top" if garment == "dress" else "bottom"}
+    assert height.min() > height[[0, -1]].min() - 0.05
+    assert met["trousers"][0][4] < height[4] - 0.06
 
 
 @pytest.mark.parametrize("name", [MAN, WOMAN, "S05"])

@@ -27,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("labels") / "data"
     scene = ["scene.cars=[suv]", "scene.occupancy={driver: 1, front_passenger: 1}", "output.skeletons=[itop]"]
     subjects = ["people.subjects=[S01, S07]", "camera.sensor=evk75023", "camera.views={front_row: 1.0}"]
-    assert main(["synth", "--frames", "8", "--seed", "3", "--out", str(folder), *scene, *subjects]) == 0
+    assert main(["synth", "--frames", "8", "--seed", "3", "--out", str(folder), *scene, *subjects, "people.outfits=1"]) == 0
     return folder
 
 

@@ -116,12 +116,6 @@ class Occupant(Model):
     """Who sits in a seat, and does what; what is left out is drawn as for anybody."""
 
     subject: str | None = Field(None, description="Named, own or random person (S03, anna, R0007).")
-    outfit: int | None = Field(
-        None,
-        ge=0,
-        exclude_if=lambda number: number is None,
-        description="The number of the subject's outfit, from 0; left out: drawn.",
-    )
     action: str | None = Field(None, description="The one thing that this person does.")
     profile: Profile | None = Field(None, description="This person's motion profile, in place of the scene's.")
     initial_pose_deg: Mapping[str, float] = Field(
@@ -132,6 +126,12 @@ class Occupant(Model):
     belted: bool | None = Field(None, description="Whether the seat belt is worn.")
     belt: BeltWear | Literal["none"] | None = Field(
         None, exclude_if=lambda value: value is None, description="How it is worn, in place of `belted`."
+    )
+    outfit: int | None = Field(
+        None,
+        ge=0,
+        exclude_if=lambda number: number is None,
+        description="The number of the subject's outfit, from 0; left out: drawn.",
     )
     pose: ExactPose | None = Field(None, description="A whole pose, in place of a solved one.")
 

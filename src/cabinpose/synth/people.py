@@ -144,7 +144,7 @@ class OwnPerson(Model):
     muscle: Probability | None = Field(None, description="Left out: 0.3, or as much less as the mass needs.")
     height: Probability = Field(0.45, description="How much of the stature the legs are; 0.38 to 0.48 are common.")
     proportions: Probability = Field(0.3, description="From ideal to uncommon.")
-    outfit: Outfit | Annotated[tuple[Outfit, ...], Field(min_length=1, max_length=MOST_OUTFITS)] = Field(
+    outfit: Outfit | Annotated[tuple[Outfit, ...], Field(title="several outfits", min_length=1, max_length=MOST_OUTFITS)] = Field(
         Outfit(),
         description="top, bottom, shoes, hair, beard, headwear, glasses, scarf, gloves, mask, fit, folds; or a list, of"
         " which a frame or sequence shows one.",

@@ -12,11 +12,11 @@ from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import SHOE_MATERIAL, accessories, foot_faces_hidden, head_box
 from cabinpose.scene.body.faces import Eyes, FaceMesh, FaceRig, ball, close_lips, mouth_faces
-from cabinpose.scene.body.garments import BOTTOMS, TOPS, layer
+from cabinpose.scene.body.garments import BOTTOMS, FULL_BEND_RAD, TOPS, Bend, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.parts import cut_skin
-from cabinpose.scene.body.rig import BONE_INDEX
+from cabinpose.scene.body.rig import BONE_INDEX, DOF_INDEX
 from cabinpose.scene.body.shape import ShapeSpace
 from cabinpose.scene.body.sheets import PLACES, Accessory
 from cabinpose.scene.body.skirts import HANGING
@@ -40,6 +40,15 @@ class Dressed:
     worn: Bytes
     is_lip: Bools
     face_rig: FaceRig
+    bends: tuple[Bend, ...]
+
+    def bent(self, q: Floats) -> Floats32:
+        """`rest` with the folds of a posture q (D,) rad, a copy."""
+        rest = self.rest.copy()
+        for bend in self.bends:
+            share = min(max(float(q[DOF_INDEX[bend.dof]]) / FULL_BEND_RAD, 0.0), 1.0)
+            rest[bend.rows] += bend.offsets * np.float32(share)
+        return rest
 
     @property
     def is_top(self) -> Bools:
@@ -130,8 +139,15 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
     return Dressed(
         np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
         np.concatenate(all_labels), np.concatenate(all_materials), np.concatenate(all_worn), is_lip,
-        FaceRig(skin, eyes, _face_mesh(shod=shod)),
+        FaceRig(skin, eyes, _face_mesh(shod=shod)), _numbered(clothes.bends, seen.vertex),
     )  # fmt: skip
+
+
+def _numbered(bends: tuple[Bend, ...], vertex: Ints) -> tuple[Bend, ...]:
+    """The same with the numbers that the seen vertices (n,) have among those that are used."""
+    number = np.full(int(max(vertex.max(), *(bend.rows.max(initial=0) for bend in bends))) + 1, -1)
+    number[vertex] = np.arange(len(vertex))
+    return tuple(Bend(b.dof, number[b.rows][used], b.offsets[used]) for b in bends for used in (number[b.rows] >= 0,))
 
 
 def worn(outfit: Outfit) -> dict[str, tuple[str, str]]:

@@ -19,6 +19,7 @@ from cabinpose.scene.body.coverage import ARM_M, LEG_M, bump, step
 from cabinpose.scene.body.parts import cut_skin
 
 _BREAST = (0.107, 0.372)  # y and z (m) of its apex on the average adult: cloth is taut there
+_BEND_M = 0.05  # between the folds inside a bent joint: two edges of the mesh
 _SWAY_M, _PATCH_M = 0.16, 0.20  # wavelengths of the noise that bends a train, and of that which lets it come and go
 
 
@@ -163,3 +164,32 @@ def folds(where: Ints, worn: Bools, seed: int, *, top: bool, size: float) -> Flo
     height = np.empty(len(where))
     body.raise_folds(_Trains(phase, strength, length, start), noise, where, height)
     return height
+
+
+class BendFields(NamedTuple):
+    """What a bent joint does to cloth about it, at every seen vertex (V + N,), 0 .. 1.
+
+    ridges: folds across its inner side · taut: how smooth it is drawn on its outer side.
+    """
+
+    ridges: Floats
+    taut: Floats
+
+
+@cache
+def bend_fields() -> dict[str, BendFields]:
+    """By the degree of freedom of `rig.DOFS`, of both sides, whose flexion it is."""
+    c, (_, about_arm, about_leg) = seen_chart(), _mirrored()
+    front = 0.5 + 0.5 * rp.cos(about_leg)
+    made = {}
+    for joint, along, inner, weight, metres, at in (
+        ("elbow", c.along_arm, 0.5 + 0.5 * rp.cos(about_arm), c.arm, ARM_M, 1.0),
+        ("hip", c.along_leg, front, c.leg, LEG_M, 0.10),
+        ("knee", c.along_leg, 1 - front, c.leg, LEG_M, 1.0),
+    ):
+        near = weight * bump(along, at, 0.09 / metres)
+        wave = 0.5 + 0.5 * rp.cos(2 * np.pi * (along - at) * metres / _BEND_M)
+        for side, sign in (("l", 1.0), ("r", -1.0)):
+            own = near * (c.rest[:, 1] * sign > 0)
+            made[f"{side}{joint}.flexion"] = BendFields(own * inner * inner * wave, own * step(0.5 - inner, 0.0, 0.5))
+    return made

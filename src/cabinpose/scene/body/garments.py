@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose._native import body
-from cabinpose.core import Bools, Floats, Floats32, Ints32
+from cabinpose.core import Bools, Floats, Floats32, Ints, Ints32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import labels
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
-from cabinpose.scene.body.folds import around, blend_rows, folds, front_of_thigh, seen_chart, smooth_noise
+from cabinpose.scene.body.folds import around, bend_fields, blend_rows, folds, front_of_thigh, seen_chart, smooth_noise
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import COVERING_HAIR, Outfit
 from cabinpose.scene.body.parts import cut_skin
@@ -29,6 +29,7 @@ from cabinpose.scene.body.shape import load_shape_space
 _SWEEPS, _EVENING = 50, 8  # of the membrane; of the skin, for directions that its hollows do not turn
 _LEAST_GAP_M = 0.002  # of cloth off the skin
 _SECTORS = 48  # of the turn about what cloth hangs from
+_LEAST_FOLD_M = 0.0002  # less is not moved
 _CLEAR_M = 0.002  # about how much smoothing flattens a bump of the body
 _INWARDS_M = 0.006  # smoothing moves a vertex inwards by no more than this
 _LIFT_M = 0.005  # of a top off the trousers' folds: its hem shows
@@ -67,8 +68,18 @@ BOTTOMS = {
     "shorts": _Cut(0.003, 0.020, 0.016, 0.03, "cotton", "shorts"),
 }
 HAIR_DEPTH_M = {"bald": 0.0, "short": 0.009, "medium": 0.022, "long": 0.018, "bun": 0.010}
+FULL_BEND_RAD = 1.75  # of a joint: its folds grow no further
+_RIDGE_M = 0.6  # height of folds inside a fully bent joint, of those at rest
 GLOVE_M, _SHIRT_M = 0.0025, 0.009  # off the skin: gloves, and what shows under an open jacket
 CAP_DEPTH_M, BEARD_DEPTH_M, BROW_DEPTH_M = 0.014, 0.008, 0.0015
+
+
+class Bend(NamedTuple):
+    """What the flexion of a joint moves: vertices (n,) by offsets (n, 3) m at rest, all of it from `FULL_BEND_RAD` on."""
+
+    dof: str
+    rows: Ints
+    offsets: Floats32
 
 
 class Region(NamedTuple):
@@ -84,12 +95,13 @@ class Region(NamedTuple):
 class Layer:
     """The dressed skin at rest: every seen vertex (V + N, 3) m, and the faces that things cover, inner ones first.
 
-    bare: the same vertices without anything worn.
+    bare: the same vertices without anything worn · bends: what bent joints move.
     """
 
     vertices: Floats32
     bare: Floats32
     regions: tuple[Region, ...]
+    bends: tuple[Bend, ...] = ()
 
 
 class _Neighbours(NamedTuple):
@@ -220,6 +232,7 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     evened = np.max(
         [_mask("scalp")[: len(skin)] * (outfit.hair != "bald"), _mask("cap")[: len(skin)] * (outfit.headwear == "cap")], axis=0
     )
+    folded = np.zeros((2, len(bare)))  # height that folds may gain, and what they stand off their mean
     draped, depth = _relaxed(skin, np.float32(0.6) * evened.astype(np.float32), _EVENING), np.zeros(len(bare))
     head, (moved, normals) = draped, _refined(draped)
     if outfit.gloves:
@@ -242,6 +255,7 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
         height[where] = (
             worn.folds * (0.5 + 0.5 * outfit.fit) * folds(where, borders()[border] > -0.05, outfit.folds, top=top, size=size)
         )
+        folded = np.where(mask > 0.5, [np.full(len(bare), _RIDGE_M * worn.folds), height - height[where].mean()], folded)
         own = worn.loose * slack * _looseness(top=top) + height
         below = np.where(depth > 0, depth + _LIFT_M * step(depth, 0.003, 0.006), 0)
         outer = mask * np.maximum(own + worn.thickness, below)
@@ -259,6 +273,7 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
         there, facing = _refined(hung)
         moved += share * (there - moved)
         normals += share * (facing - normals)
+    bends = _bends(folded, normals)
     depth += _hair(outfit, regions)
     moved += normals * (depth.astype(np.float32) / np.maximum(np.linalg.norm(normals, axis=1), 1e-6))[:, None]
     if outfit.hair in ("medium", "long"):  # ears vanish under the hair
@@ -277,7 +292,18 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     least = np.minimum(0.5 * depth, _LEAST_GAP_M).astype(np.float32)
     lack = np.where(lifted, least - np.einsum("ij,ij->i", moved - bare, outwards), 0)
     moved += outwards * np.maximum(lack, 0.0)[:, None]
-    return Layer(moved.astype(np.float32), bare, tuple(regions))
+    return Layer(moved.astype(np.float32), bare, tuple(regions), bends)
+
+
+def _bends(folded: Floats, normals: Floats32) -> tuple[Bend, ...]:
+    """Of cloth: folded (2, V + N) m, height of new folds, and of those at rest over their mean · normals (V + N, 3)."""
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-6)[:, None]
+    made = []
+    for dof, fields in bend_fields().items():
+        move = fields.ridges * folded[0] - fields.taut * folded[1]
+        rows = np.flatnonzero(np.abs(move) > _LEAST_FOLD_M)
+        made.append(Bend(dof, rows, (unit[rows] * move[rows, None]).astype(np.float32)))
+    return tuple(made)
 
 
 def half_opening(up: Floats) -> Floats:

@@ -221,9 +221,8 @@ class PosedBody:
 
         face: what it does; by default the eyes are open and look ahead.
         """
-        d, rest = self.person.dressed, self.person.dressed.rest
+        d, rest = self.person.dressed, self.person.dressed.bent(self.q)
         if face is not None:
-            rest = rest.copy()
             d.face_rig.move(rest, face)
         vertices = self._skinned(rest, d.bone_index, d.bone_weight)
         normals = np.empty_like(vertices)
