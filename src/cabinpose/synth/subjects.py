@@ -33,6 +33,7 @@ _CHILD_YEARS = {"I": (0.0, 1.0), "K": (3.0, 11.5), "T": (0.75, 3.0)}
 _LEAST_M = {"K": 0.90}  # of who is drawn for a child seat: shorter ones are among toddlers
 _MUSCLES = (0.3, 0.2, 0.1, 0.0)  # of own people, the first with which a body can have the mass: heavy ones have less
 _KEPT = 80  # dressed people, of 1.5 MB: all outfits of those that are in play
+_OUTFITS = 3  # of a named person, kept over all datasets
 _BEARD_YEARS, _BALD_YEARS, _WALKS_YEARS = 16.0, 25.0, 1.0
 _WEIGHT = 0.65  # of own people; about the average of S01 .. S18
 
@@ -76,7 +77,7 @@ class Subjects:
         if name in self._people.own:
             return phenotype, self._people.own[name].outfits[number]
         if number:
-            rng = own_rng(self._seed, f"outfit {number} of {name}")
+            rng = own_rng(0 if self._everywhere_the_same(name) else self._seed, f"outfit {number} of {name}")
             outfit = outfit.redressed(_suited(Outfit.random(rng=rng, gender=phenotype.gender), phenotype))
         return phenotype, replace(outfit, number=number)
 
@@ -130,9 +131,9 @@ class Subjects:
         return least <= SEATED_YEARS or self.body(name)[0].years >= least
 
     def _make_person(self, name: str, number: int) -> Person:
-        if name in SUBJECTS and not number and not self._people.asymmetric:
-            return _named_person(name)
         phenotype, outfit = self.body(name, number)
+        if name in SUBJECTS and not self._people.asymmetric:
+            return _named_person(name, outfit)
         return self._person(name, 0).redressed(outfit) if number else BodyModel.load().person(phenotype, outfit)
 
 
@@ -141,8 +142,11 @@ def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotyp
     return Subjects(config.people, seed).body(subject)
 
 
-@cached_once(len(SUBJECTS))
-def _named_person(name: str) -> Person:
+@cached_once(_OUTFITS * len(SUBJECTS))
+def _named_person(name: str, outfit: Outfit) -> Person:
+    """Who is the same in all datasets."""
+    if outfit.number:
+        return _named_person(name, SUBJECTS[name].outfit).redressed(outfit)
     return BodyModel.load().person(SUBJECTS[name].phenotype, SUBJECTS[name].outfit)
 
 
