@@ -170,7 +170,8 @@ class SceneEditor:
         """Change somebody's whole pose; what the hands hold and the lap carries goes along."""
         data = copy.deepcopy(self.state.data)
         pose = data["scene"]["occupants"][slot]["pose"]
-        carried = [thing for thing in data["scene"].get("things") or () if thing["slot"] == slot and thing["where"] != "seat"]
+        things = data["scene"].get("things") or ()
+        carried = [thing for thing in things if thing["where"] in ("lap", "hand") and thing["slot"] == slot]
         person = _posed(shown, slot)[0]
         before = _frames(person, pose)
         pose["angles_rad"] = {**pose["angles_rad"], **angles}

@@ -38,7 +38,9 @@ _REACHED_SIGMA_M = 0.012
 _RAISED, _FROM_ASIDE, _LIPS_M = (math.radians(22.0), math.radians(9.0)), 0.15, 0.004
 _LOWERED = (math.radians(-40.0), math.radians(8.0))  # the same of what is bitten off (assumed)
 _OVER_BUCKLE_M, _BESIDE_CUSHION_M = 0.07, 0.30  # of a palm from a belt's buckle, and of fingertips from the seat's middle
-_ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)  # of a hand that drinks from nothing
+# Of a hand that drinks from nothing, and that eats nothing.
+_ASSUMED_BOX = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.2)), np.float32)
+_ASSUMED_BITE = np.array(((-0.03, -0.03, 0.0), (0.03, 0.03, 0.08)), np.float32)
 _KNOB_IN_PALM_M, _MIRROR_IN_PALM_M = np.array((0.010, 0.0, 0.018)), np.array((0.030, 0.0, 0.010))
 _BEHIND_RIM_M, _LEAST_ALONG = 0.01, 0.50  # fingertips that end before the wheel's rim; share of the thigh
 _BACK_OUT_M = 0.12  # for a whole thigh: hands nearer to the hips would meet, as thighs do
@@ -309,6 +311,7 @@ class _Drink(HandPlace):
 
     name, carried_by, grip, held, touches = "drink", "head", 0.4, Around(0.42), "head"
     raised: ClassVar[tuple[float, float]] = _RAISED  # mean and sigma, rad
+    assumed: ClassVar[Floats32] = _ASSUMED_BOX  # (2, 3) m, of what is not there
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         head, s = trunk.skeleton.bone("head"), 1.0 - 2.0 * side
@@ -317,7 +320,7 @@ class _Drink(HandPlace):
         to_mouth = -np.array((rp.cos(raised), aside, rp.sin(raised)))  # in the head's frame
         to_mouth = rp.matmul(head[:3, :3], to_mouth / rp.norm(to_mouth))
         lips = head[:3, 3] + rp.matmul(head[:3, :3], _mouth(trunk.seated.person)) - _LIPS_M * to_mouth
-        thing = InHand(Around(0.42).turned(_ASSUMED_BOX), float(_ASSUMED_BOX[1, 2])) if hand.thing is None else hand.thing
+        thing = InHand(Around(0.42).turned(self.assumed), float(self.assumed[1, 2])) if hand.thing is None else hand.thing
         top = apply(thing.palm_from_thing, np.array((0.0, 0.0, thing.height_m)))
         # The thing's upright axis is y of the palm: to the thumb of the left hand, away from that of the right one.
         y, inwards = s * to_mouth, rp.matmul(head[:3, :3], np.array((-0.2, -s, 0.35)))
@@ -332,7 +335,7 @@ class _Drink(HandPlace):
 class _Bite(_Drink):
     """What is eaten, its upper end at the mouth and its lower one below it."""
 
-    name, held, raised = "bite", Around(0.35), _LOWERED
+    name, held, raised, assumed = "bite", Around(0.35), _LOWERED, _ASSUMED_BITE
 
 
 class _Shin(HandPlace):
