@@ -158,7 +158,7 @@ def test_amplitudes_are_those_of_the_labels() -> None:
 
 def test_the_dyes_of_car_and_things_are_on_these_alone() -> None:
     """A toddler seat of plastic and cloth in a car of both: each surface reflects as the dye that was drawn for it, in a band."""
-    scene_of = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "child_seats": {"rear_left": "toddler"}}
+    scene_of = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "child_seats": {"rear_left": "toddler"}, "clutter": 0}
     maker = FrameMaker(SynthConfig.parse({"scene": scene_of}), 0)
     _, scene = maker.make(0)
     surface = scene.surface()

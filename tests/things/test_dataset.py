@@ -80,7 +80,7 @@ def test_a_kept_scene_has_its_things() -> None:
 
 
 def test_an_empty_front_seat_makes_room_for_a_carrier() -> None:
-    sampler = SceneSampler(config(cars=["city_car"], child_seats={"rear_right": "infant"}, objects={}), 0)
+    sampler = SceneSampler(config(cars=["city_car"], child_seats={"rear_right": "infant"}, objects={}, clutter=0), 0)
     scene = sampler.sample(0, rng=frame_rng(0, 0))
     (carrier,) = scene.things
     assert carrier.thing.kind == "infant"
