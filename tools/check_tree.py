@@ -58,6 +58,7 @@ _SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tok
 MAX_BYTES = 10_000_000
 LONG_MODULES: dict[str, str] = {  # path -> why it is one module nevertheless
     "src/cabinpose/synth/posture/places.py": "a class for each place of a hand, side by side",
+    "src/cabinpose/synth/config.py": "every key of `synth` with what it means, side by side",
 }
 
 MACHINE_PATH = re.compile(r"(?<![\w.~/}-])/(?:home|Users|root|work|tmp|mnt|media|srv)/[\w.]|[A-Z]:\\Users", re.ASCII)

@@ -10,7 +10,7 @@ import numpy as np
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.cars import ChangedPreset, place_name
 from cabinpose.synth.casting import Cast, Casting
-from cabinpose.synth.clutter import Lying
+from cabinpose.synth.clutter import LyingAbout
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.faces import with_faces
 from cabinpose.synth.furnishing import Furnishing
@@ -35,7 +35,7 @@ class CarScenes:
         self._faces = {slot: face.face for slot, face in exact.items() if face is not None}
         self._presets = {car.name: car.preset for car in scene.cars if isinstance(car, ChangedPreset)}
         self._casting, self._furnishing = Casting(scene, plan), Furnishing(scene)
-        self._lying = Lying(scene.clutter)
+        self._lying = LyingAbout(scene.clutter)
         self._camera, self._plan = config.camera, plan
 
     def draw(self, index: int, attempts: Attempts, *, rng: np.random.Generator) -> Scene | None:

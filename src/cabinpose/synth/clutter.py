@@ -36,7 +36,7 @@ _LYING = axis_rotation("x", 0.5 * math.pi)
 _SPOTS_M = (-0.03, 0.0, 0.03)  # beside the middle of a place
 
 
-class Place(NamedTuple):
+class ClutterPlace(NamedTuple):
     """A place where something may lie.
 
     share: how often something does · kinds: how likely what · on: names of the parts that carry it · sunk_m: into them, of a cup
@@ -56,19 +56,23 @@ class Place(NamedTuple):
 _DRINKS = {"bottle": 0.4, "cup": 0.6}
 _ON_FLOOR = {"bottle": 0.4, "papers": 0.2, "bag": 0.25, "tissues": 0.15}
 _FLOOR = ("floor mats", "floor")
-PLACES_OF_CLUTTER: Mapping[str, Place] = {
-    "cup_holder_left": Place(0.12, _DRINKS, ("centre console",), sunk_m=0.05, spread=0.0),
-    "cup_holder_right": Place(0.12, _DRINKS, ("centre console",), sunk_m=0.05, spread=0.0),
-    "console": Place(0.15, {"keys": 0.4, "wallet": 0.25, "phone": 0.35}, ("centre console",), spread=0.4),
-    "dashboard": Place(0.12, {"sunglasses": 0.35, "papers": 0.15, "phone": 0.2, "tissues": 0.15, "wallet": 0.15}, ("dashboard",)),
-    "under_screen": Place(0.08, {"ticket": 1.0}, ("dashboard",)),
-    "phone_holder": Place(0.10, {"phone_at_vent": 0.4, "phone_on_dash": 0.3, "phone_on_screen": 0.3}, ("dashboard",), held=True),
-    "shelf": Place(0.06, {"tissues": 0.5, "papers": 0.2, "bag": 0.3}, ("parcel shelf",)),
-    "floor_front_passenger": Place(0.06, _ON_FLOOR, _FLOOR, seat="front_passenger"),
-    "floor_rear_left": Place(0.05, _ON_FLOOR, _FLOOR, seat="rear_left"),
-    "floor_rear_right": Place(0.05, _ON_FLOOR, _FLOOR, seat="rear_right"),
-    "hook_left": Place(0.02, {"hung_jacket": 1.0}, seat="rear_left", held=True),
-    "hook_right": Place(0.02, {"hung_jacket": 1.0}, seat="rear_right", held=True),
+PLACES_OF_CLUTTER: Mapping[str, ClutterPlace] = {
+    "cup_holder_left": ClutterPlace(0.12, _DRINKS, ("centre console",), sunk_m=0.05, spread=0.0),
+    "cup_holder_right": ClutterPlace(0.12, _DRINKS, ("centre console",), sunk_m=0.05, spread=0.0),
+    "console": ClutterPlace(0.15, {"keys": 0.4, "wallet": 0.25, "phone": 0.35}, ("centre console",), spread=0.4),
+    "dashboard": ClutterPlace(
+        0.12, {"sunglasses": 0.35, "papers": 0.15, "phone": 0.2, "tissues": 0.15, "wallet": 0.15}, ("dashboard",)
+    ),
+    "under_screen": ClutterPlace(0.08, {"ticket": 1.0}, ("dashboard",)),
+    "phone_holder": ClutterPlace(
+        0.10, {"phone_at_vent": 0.4, "phone_on_dash": 0.3, "phone_on_screen": 0.3}, ("dashboard",), held=True
+    ),
+    "shelf": ClutterPlace(0.06, {"tissues": 0.5, "papers": 0.2, "bag": 0.3}, ("parcel shelf",)),
+    "floor_front_passenger": ClutterPlace(0.06, _ON_FLOOR, _FLOOR, seat="front_passenger"),
+    "floor_rear_left": ClutterPlace(0.05, _ON_FLOOR, _FLOOR, seat="rear_left"),
+    "floor_rear_right": ClutterPlace(0.05, _ON_FLOOR, _FLOOR, seat="rear_right"),
+    "hook_left": ClutterPlace(0.02, {"hung_jacket": 1.0}, seat="rear_left", held=True),
+    "hook_right": ClutterPlace(0.02, {"hung_jacket": 1.0}, seat="rear_right", held=True),
 }
 """By name, with how often something is there (assumed)."""
 
@@ -81,7 +85,7 @@ class _Lying(NamedTuple):
     box: Floats
 
 
-class Lying:
+class LyingAbout:
     """Puts what lies about into cars; where each thing lies in which car is worked out once."""
 
     def __init__(self, scale: float) -> None:
@@ -223,7 +227,7 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
             return None if seat is None else seat.heel_m + (_FLOOR_AHEAD_M, 0.0, 0.2)
 
 
-def _laid(thing: Thing, corners: Floats, where: Floats, yaw: float, place: Place) -> Matrix | None:
+def _laid(thing: Thing, corners: Floats, where: Floats, yaw: float, place: ClutterPlace) -> Matrix | None:
     """vehicle_from_thing of a thing let down on triangles (F, 3, 3) m: tilted as they are; None where they are too steep."""
     lying = _LYING if place.on == _FLOOR and thing.label == "bottle" else np.eye(3)
     turn = rp.matmul(axis_rotation("z", yaw), lying)
