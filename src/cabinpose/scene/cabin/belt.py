@@ -62,8 +62,8 @@ _ROOTS = tuple(
 _ROOT_OF, _END_OF = (np.array([root[n] for root in _ROOTS]) for n in (1, 2))
 _UP_TO = np.array([root[3] for root in _ROOTS]).T  # of a belt before the chest, and of a lap part
 # What belts lie on by class, as `belt_ribbon` has it: the trunk all over, limbs near their roots. Of a thing, everywhere.
-_KINDS = np.isin(np.arange(256), [LABEL[name] for name in LABEL if name.startswith(("torso", "hip_center", "shoulder"))])
-_KINDS = _KINDS.astype(np.uint8)
+_KINDS = np.zeros(256, np.uint8)
+_KINDS[[LABEL[name] for name in LABEL if name.startswith(("torso", "hip_center", "shoulder"))]] = 1
 _KINDS[[root[0] for root in _ROOTS]] = 2 + np.arange(len(_ROOTS))
 _EVERYWHERE = np.ones(256, np.uint8)
 _KNEES = CABINPOSE.indices(("lknee", "rknee"))
@@ -223,7 +223,8 @@ def hanging_tongue(seat: Seat, setting: SeatSetting, cabin: Cabin) -> Vector:
 def loose_belt(seat: Seat, setting: SeatSetting, cabin: Cabin, tongue: Vector) -> Surface:
     """A belt that nobody wears: straight from its guide to the tongue (3,) m, vehicle frame, and to the lap's anchor."""
     anchors, forward = _anchors(seat, setting, cabin), seat.vehicle_from_seat(setting)[:3, 0]
-    nothing = Surface(*np.zeros((2, 0, 3), np.float32), np.zeros((0, 3), np.int32), *np.zeros((3, 0), np.uint8))
+    no_points, no_faces, no_codes = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8)
+    nothing = Surface(no_points, no_points, no_faces, no_codes, no_codes, no_codes)
     body = _Trunk.without_bones(nothing, -forward, forward)
     courses = [_Course(a, a + forward, b, None) for a, b in ((anchors.upper, tongue), (anchors.outer_lap, tongue))]
     return merge([_ribbon(body, course, 0.004) for course in courses])
