@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Field
+from pydantic.json_schema import SkipJsonSchema
 
 from cabinpose.core import ConfigError, unknown_name
 
@@ -134,7 +135,7 @@ class Outfit:
     mask: bool = False
     fit: float = 0.5
     folds: int = 0
-    number: int = 0
+    number: Annotated[SkipJsonSchema[int], Field(exclude=True)] = 0  # of the place in a list: no key of a configuration
 
     def __post_init__(self) -> None:
         for kind, known in _CHOICES.items():
