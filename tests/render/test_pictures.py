@@ -271,13 +271,14 @@ def test_eyes_lips_and_mouths_have_colours_of_what_they_are(number: int) -> None
 
 
 def test_garments_have_one_colour_each() -> None:
-    from cabinpose.scene.body import BodyModel, Outfit, Phenotype
+    from cabinpose.scene.body import PLACES, BodyModel, Outfit, Phenotype
 
     p = BodyModel.load().person(Phenotype(), Outfit(top="t_shirt", bottom="trousers"))  # both cotton
     look = look_of(p, 0, "x")._replace(patterns={})
     colours = person_colours(p, look, rng=own_rng(0, "x"))
     cotton = p.dressed.material == 3
-    top, rest = colours[cotton & p.dressed.is_top], colours[cotton & ~p.dressed.is_top]
+    is_top = p.dressed.worn == PLACES.index("top")
+    top, rest = colours[cotton & is_top], colours[cotton & ~is_top]
     assert min(len(top), len(rest)) > 500
     assert np.ptp(top / top.mean(axis=0), axis=0).max() < 0.11
     assert np.abs(np.median(top, axis=0) - np.median(rest, axis=0)).max() > 0.02

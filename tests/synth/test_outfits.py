@@ -11,7 +11,7 @@ from scipy import stats
 import cabinpose
 from cabinpose.core import ConfigError
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.exact import exact_config
+from cabinpose.synth.exact import exact_config, without_defaults
 from cabinpose.synth.people import People
 from cabinpose.synth.person_look import look_of
 from cabinpose.synth.sample import SceneSampler
@@ -63,6 +63,54 @@ def test_own_people_have_one_outfit_or_a_list() -> None:
             ),
             SEED,
         ).sample(0, rng=frame_rng(SEED, 0))
+
+
+def test_an_outfit_by_number_needs_its_subject() -> None:
+    with pytest.raises(ConfigError, match="number") as error:
+        config(occupants={"driver": {"outfit": 1}})
+    assert "subject" in (error.value.hint or "")
+    assert config(occupants={"driver": {"subject": "S02", "outfit": 1}})
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ({"cap": True, "glasses": True}, {"headwear": "cap", "glasses": "clear"}),
+        ({"cap": False, "glasses": False, "top": "jacket", "number": 0}, {"top": "jacket"}),
+        ([{"cap": True}, {"glasses": True}], [{"headwear": "cap"}, {"glasses": "clear"}]),
+    ],
+)
+def test_outfits_of_before_are_read(old: object, new: object) -> None:
+    """As the version before wrote them into datasets; what is written today has no key that means nothing."""
+    was, now = (SynthConfig.parse({"people": {"own": {"anna": {"outfit": outfit}}}}) for outfit in (old, new))
+    assert was == now
+    dumped = now.model_dump(mode="json")
+    told = dumped["people"]["own"]["anna"]["outfit"]
+    assert all("number" not in each for each in (told if isinstance(told, list) else [told]))
+    assert SynthConfig.parse(dumped) == now
+
+
+@pytest.mark.parametrize(
+    ("outfit", "said"), [({"number": 2}, "number"), ({"cap": True, "headwear": "hat"}, "headwear: cap"), ({"cap": "red"}, "cap")]
+)
+def test_what_outfits_cannot_say_is_refused(outfit: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        SynthConfig.parse({"people": {"own": {"anna": {"outfit": outfit}}}})
+    assert said in error.value.in_one_line()
+    assert "fit, folds, number" not in error.value.in_one_line()
+
+
+def test_a_frame_of_own_people_is_written_out_with_its_outfit() -> None:
+    own = {"anna": {"outfit": [{"top": "shirt"}, {"top": "hoodie", "headwear": "hood"}]}}
+    settings = SynthConfig.parse(FIRST | {"people": {"subjects": [], "own": own}})
+    index, scene = next(
+        (i, s)
+        for i in range(20)
+        if (s := SceneSampler(settings, SEED).sample(i, rng=frame_rng(SEED, i))).people[0].person.outfit.number
+    )
+    kept = SynthConfig.parse(without_defaults(exact_config(settings, SEED, index)))
+    again = SceneSampler(kept, SEED).sample(index, rng=frame_rng(SEED, index))
+    assert again.people[0].person.outfit == scene.people[0].person.outfit
 
 
 def test_a_sequence_has_one_outfit_and_labels_say_it() -> None:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
 from cabinpose.core import OCCUPANT_SLOTS, Camera, apply, invert, look_at
-from cabinpose.scene import DYES, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
+from cabinpose.scene import DYES, HAIR, LABEL_ID, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import SUBJECTS, BodyModel, Outfit, Person, Phenotype, hair_shares
+from cabinpose.scene.body.outfit import Bottom, Headwear, Top
 from cabinpose.scene.sensor import GeometryBuffers, PhysicalNoise, material_table, sensor_by_name, simulate
 from cabinpose.scene.things import make_thing
 from cabinpose.store import AXES
@@ -112,6 +114,34 @@ def test_every_garment_has_its_triangles() -> None:
         assert (plain == WORN.index("top")).sum() == both
         assert (counts["headwear"] > 100) == (p.outfit.headwear == "cap")
         assert (plain[p.dressed.material == MATERIAL_ID["skin"]] == WORN.index("skin")).all()
+
+
+ALL = list(product(get_args(Top), get_args(Bottom), get_args(Headwear)))
+PAIRS = [(top, bottom, ALL[(k + n) % 6][2]) for k, top in enumerate(get_args(Top)) for n, bottom in enumerate(get_args(Bottom))]
+CLOTH = [MATERIAL_ID[name] for name in ("cotton", "denim", "wool", "synthetic_fabric")]
+ON = {"top": "upper_arm", "bottom": "thigh", "headwear": "headwear"}  # where no other garment is
+
+
+@pytest.mark.parametrize("made", [PAIRS, pytest.param(ALL, marks=pytest.mark.slow)], ids=["pairs", "all"])
+def test_what_is_drawn_reflects_as_its_label_says(made: list[tuple[Any, Any, Any]]) -> None:
+    """Of every top, bottom and headwear, whose triangles are known by the part of the body that they lie on."""
+    seen = {name: np.isin(np.arange(256), [LABEL_ID[k] for k in LABEL_ID if k.startswith(part)]) for name, part in ON.items()}
+    somebody, checked = BodyModel.load().person(Phenotype(gender=1.0), Outfit()), set()
+    for top, bottom, headwear in made:
+        outfit = Outfit(top, bottom, "trainers", "long", headwear=headwear)
+        person = somebody.redressed(outfit)
+        found = Reflectances(4, 850).person("N1", person)
+        told = dict(zip(AXES["worn"], found.labels(outfit, 850), strict=True))
+        cloth = np.isin(person.dressed.material, CLOTH) & (found.faces != 255)
+        for place, name in (("top", top), ("bottom", bottom), ("headwear", headwear)):
+            if name == "none":
+                assert np.isnan(told[place])
+            elif not (place == "bottom" and top == "coat"):  # whose tails hang over it
+                codes = {WORN[k] for k in found.faces[cloth & seen[place][person.dressed.label]]}
+                drawn_as = {found.reflectance[code] for code in codes if not code.endswith("_print")}
+                assert drawn_as == {told[place]}, (outfit, place, codes)
+                checked.add((place, name))
+    assert len(checked) == 9 + 6 + 5
 
 
 CAR: Mapping[str, Any] = {

@@ -154,6 +154,8 @@ class Occupant(Model):
             )
         if self.belted is not None and self.belt is not None:
             raise ConfigError("belted and belt say the same of a person", hint="give one of the two")
+        if self.outfit is not None and self.subject is None:
+            raise ConfigError("an outfit's number is one of a subject's", hint="give subject as well, or leave outfit out")
         if self.action is not None and self.pose is None:
             _ = ACTIONS[self.action]  # likewise
         return self

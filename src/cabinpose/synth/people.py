@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.scene.body import (
@@ -150,6 +150,11 @@ class OwnPerson(Model):
         " which a frame or sequence shows one.",
     )
 
+    @field_validator("outfit", mode="before")
+    @classmethod
+    def _of_today(cls, given: Any) -> Any:
+        return [_outfit_of_today(each) for each in given] if isinstance(given, (list, tuple)) else _outfit_of_today(given)
+
     @property
     def outfits(self) -> tuple[Outfit, ...]:
         """All of them."""
@@ -161,6 +166,22 @@ class OwnPerson(Model):
         if self.mass_kg is not None and self.weight is not None:
             raise ConfigError("mass_kg and weight say the same of a person", hint="give one of the two")
         return self
+
+
+def _outfit_of_today(given: Any) -> Any:
+    """An outfit of a configuration; of one written before there was `headwear`, where `cap` and `glasses` were true or false."""
+    if not isinstance(given, Mapping):
+        return given
+    outfit = dict(given)
+    if outfit.pop("number", 0) != 0:
+        raise ConfigError(
+            "outfits have no key number", hint="leave it out: they are numbered by their places in the list, from 0"
+        )
+    if isinstance(outfit.get("cap"), bool) and outfit.pop("cap") and outfit.setdefault("headwear", "cap") != "cap":
+        raise ConfigError(f"headwear is {outfit['headwear']} and cap is true", hint="leave out cap, or give headwear: cap")
+    if isinstance(outfit.get("glasses"), bool):
+        outfit["glasses"] = "clear" if outfit["glasses"] else "none"
+    return outfit
 
 
 class People(Model):

@@ -14,7 +14,7 @@ import numpy as np
 
 from cabinpose.core import ConfigError, Floats
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import CHILD_YEARS, Person, load_population, worn
+from cabinpose.scene.body import CHILD_YEARS, Person, load_population, worn_words
 from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.scene.things import CHILD_SEAT_LABELS, PlacedThing
 from cabinpose.store import AXES, BELT_OF_1
@@ -59,10 +59,10 @@ def _body(person: Person) -> _Body:
                 break
             except ConfigError:  # which has nobody of this age
                 continue
-    wears = worn(person.outfit)
+    wears = worn_words(person.outfit)
     return _Body(
         sex, phenotype.years, person.stature_m, mass, population, percentiles,
-        tuple(wears[place][0] if place in wears else "" for place in _WEARS),
+        tuple(wears.get(place, "") for place in _WEARS),
     )  # fmt: skip
 
 

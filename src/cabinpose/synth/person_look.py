@@ -12,7 +12,6 @@ import numpy as np
 
 from cabinpose.core import Bytes, Floats, Ints
 from cabinpose.core import reproducible as rp
-from cabinpose.scene import LABEL_ID as LABEL
 from cabinpose.scene import MATERIAL_ID as MATERIAL
 from cabinpose.scene.body import PLACES, Person
 from cabinpose.synth.streams import own_rng, weighted
@@ -59,11 +58,10 @@ _BOTTOM_PATTERNS = (("", 0.92), ("checks", 1.0))
 _PRINTED = ("t_shirt", "long_sleeve", "shirt", "jumper", "trousers", "shorts")
 _STRIPE_M, _CHECK_M = 0.04, 0.05
 _ODD = 1001  # more columns of checks than any garment has, and odd
-_CLOTH = tuple(MATERIAL[name] for name in ("cotton", "denim", "wool", "synthetic_fabric"))
 _PLACE = np.full(256, NOT_WORN, np.uint8)  # of a material, where nothing else tells
 _PLACE[MATERIAL["skin"]], _PLACE[MATERIAL["hair"]] = WORN.index("skin"), WORN.index("hair")
-_PLACE[list(_CLOTH)], _PLACE[MATERIAL["leather_shoe"]] = WORN.index("bottom"), WORN.index("shoes")
-_FOOT = np.isin(np.arange(256), [LABEL["foot_left"], LABEL["foot_right"]])
+_PLACE[[MATERIAL["synthetic_fabric"], MATERIAL["leather_shoe"]]] = WORN.index("shoes")
+_OF_PLACE = np.array([NOT_WORN, *(WORN.index(name) for name in PLACES[1:])], np.uint8)
 
 
 class PersonLook(NamedTuple):
@@ -102,7 +100,7 @@ def look_of(person: Person, seed: int, subject: str) -> PersonLook:
     turned = float(np.clip((person.phenotype.years - from_years) / over + rng.normal(0, 0.2), 0.0, 1.0))
     grey = float(rp.power(turned, 1.5))
     palettes = {
-        "top": TOPS, "bottom": _JEANS if outfit.bottom == "jeans" else _BOTTOMS,
+        "top": TOPS, "bottom": {"jeans": _JEANS, "dress": TOPS}.get(outfit.bottom, _BOTTOMS),
         "shoes": _SHOES if outfit.shoes == "trainers" else _LEATHER_SHOES, "headwear": _CAPS, "socks": _SOCKS,
     }  # fmt: skip
     dyes = own_rng(seed, wearer) if outfit.number else rng
@@ -127,15 +125,7 @@ def look_of(person: Person, seed: int, subject: str) -> PersonLook:
 def worn_faces(person: Person, look: PersonLook) -> Bytes:
     """(F,) index in `WORN` of each triangle of a dressed person, in the order of `PosedBody.surface`; else `NOT_WORN`."""
     dressed = person.dressed
-    place = _PLACE[dressed.material]
-    cloth, foot = place == WORN.index("bottom"), _FOOT[dressed.label]
-    place[cloth & dressed.is_top] = WORN.index("top")
-    below = cloth & foot & ~dressed.is_top
-    place[below] = WORN.index("shoes" if person.outfit.shoes != "none" else "socks")
-    place[below & (dressed.material == MATERIAL["cotton"])] = WORN.index("socks")
-    place[dressed.label == LABEL["headwear"]] = WORN.index("headwear")
-    for number, name in enumerate(PLACES[1:], start=1):
-        place[dressed.worn == number] = WORN.index(name)
+    place = np.where(dressed.worn > 0, _OF_PLACE[dressed.worn], _PLACE[dressed.material])
     for part, pattern in look.patterns.items():
         if pattern:
             of = np.flatnonzero(place == WORN.index(part))

@@ -72,9 +72,12 @@ class WornReflectance:
     def labels(self, outfit: Outfit, wavelength_nm: Wavelength) -> tuple[float, ...]:
         """What is on each place of the axis `worn` of datasets reflects, NaN where nothing is."""
         wears = worn(outfit)
-        own = {**self.reflectance, "beard": self.reflectance["hair"]}
         return tuple(
-            own.get(place, _AT[wears[place][1]](wavelength_nm)) if wears.get(place, ("", ""))[1] else np.nan
+            np.nan
+            if (of := wears.get(place)) is None
+            else self.reflectance[of.coat]
+            if of.coat
+            else _AT[of.material](wavelength_nm)
             for place in AXES["worn"]
         )
 
@@ -179,16 +182,15 @@ class Reflectances:
 
     def _draw_person(self, subject: str, person: Person) -> WornReflectance:
         rng = own_rng(self._seed, f"near infrared of {subject}")
-        wears, ranks, kinds = worn(person.outfit), rng.random(_FIRST), rng.random(_FIRST)
+        ranks, kinds = rng.random(_FIRST), rng.random(_FIRST)
         more = own_rng(self._seed, f"near infrared of small clothes of {subject}").random((2, len(WORN) - _FIRST))
         ranks, kinds = (np.concatenate(both) for both in ((ranks, more[0]), (kinds, more[1])))
         if number := person.outfit.number:  # clothes of its own, on the same skin and hair
             other = own_rng(self._seed, f"near infrared of {subject} in outfit {number}").random((2, len(WORN)))
             ranks[2:], kinds[2:] = other[0, 2:], other[1, 2:]
         look = look_of(person, self._seed, subject)
-        material = dict.fromkeys(WORN, "cotton") | {"skin": "skin", "hair": "hair", "scarf": "wool", "gloves": "wool"}
-        material["mask"] = "synthetic_fabric"
-        material |= {name: wears[name][1] for name in ("top", "bottom", "shoes", "headwear") if wears[name][1]}
+        material = dict.fromkeys(WORN, "cotton") | {"skin": "skin", "hair": "hair"}
+        material |= {place: of.material for place, of in worn(person.outfit).items() if of.coat == place}
         result = {"skin": self._skin(look.tone, float(rng.standard_normal())), "hair": self._hair(look, float(ranks[1]))}
         for k, name in enumerate(WORN):
             if name not in result:

@@ -1,6 +1,5 @@
 from .chart import load_chart as load_chart
 from .chart import vertex_segments as vertex_segments
-from .dress import worn as worn
 from .faces import Face as Face
 from .faces import load_faces as load_faces
 from .joints import OWN_PARTS as OWN_PARTS
@@ -13,6 +12,8 @@ from .model import Person as Person
 from .model import PosedBody as PosedBody
 from .outfit import Outfit as Outfit
 from .outfit import hair_shares as hair_shares
+from .outfit import worn as worn
+from .outfit import worn_words as worn_words
 from .phenotype import CHILD_YEARS as CHILD_YEARS
 from .phenotype import DEFAULT_RANGES as DEFAULT_RANGES
 from .phenotype import SEATED_YEARS as SEATED_YEARS

@@ -16,13 +16,12 @@ from cabinpose.scene import labels, materials
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import borders, cap_rim_m
 from cabinpose.scene.body.kinematics import RestArrays
-from cabinpose.scene.body.outfit import COVERING_HAIR, OVER_HAIR, Outfit
+from cabinpose.scene.body.outfit import COVERING_HAIR, GARMENTS, OVER_HAIR, Outfit
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
 from cabinpose.scene.body.sheets import Accessory, closing_faces, grid_faces, outward, rigid, rod, sheet, tube
 
 SOLE_M = {"none": 0.0, "trainers": 0.025, "leather": 0.020}
-SHOE_MATERIAL = {"trainers": "synthetic_fabric", "leather": "leather_shoe"}
 HEEL_BACK_M = 0.008  # how far a shoe reaches behind the heel
 
 
@@ -77,8 +76,8 @@ def shoe(skin: Floats, rest: RestArrays, side: str, kind: str) -> Accessory:
     sections[:, :, 1] = middle[:, None] + half[:, None] * outline[:, 0]
     sections[:, :, 2] = bottom[:, None] + (upper - bottom)[:, None] * outline[:, 1]
     vertices, faces = tube(sections)
-    part = "foot_left" if side == "l" else "foot_right"
-    made = rigid(rp.matmul(vertices, frame.T) + origin, outward(vertices, faces), side + "foot", part, SHOE_MATERIAL[kind])
+    part, material = "foot_left" if side == "l" else "foot_right", GARMENTS["shoes"][kind].material
+    made = rigid(rp.matmul(vertices, frame.T) + origin, outward(vertices, faces), side + "foot", part, material)
     sole = vertices[faces][:, :, 2].max(axis=1) < bottom.max() + 0.012
     return Accessory(
         made.vertices, made.faces, made.bones, made.weights, made.label,
@@ -159,7 +158,8 @@ def visor(skin: Floats, eyes: Floats) -> Accessory:
     above = np.stack([x, y, z], axis=2) + eyes
     below = above - (0, 0, 0.005)
     vertices, faces = sheet(above, below)
-    return rigid(vertices, outward(vertices - vertices.mean(axis=0), faces), "head", "headwear", "cotton")
+    of = GARMENTS["headwear"]["cap"]
+    return rigid(vertices, outward(vertices - vertices.mean(axis=0), faces), "head", of.label, of.material, of.coat)
 
 
 def glasses(skin: Floats, eyes: Floats, *, sun: bool) -> list[Accessory]:
@@ -188,7 +188,7 @@ def glasses(skin: Floats, eyes: Floats, *, sun: bool) -> list[Accessory]:
         middle = rim.mean(axis=0) + (0.002, 0, 0)
         j = np.arange(24)
         lens = np.stack([j, (j + 1) % 24, np.full(24, 24)], axis=1).astype(np.int32)
-        glass = "hard_plastic" if sun else "spectacle_lens"
+        glass = GARMENTS["glasses"]["sun" if sun else "clear"].material
         parts.append(rigid(np.concatenate([rim, middle[None]]) + eyes, lens, "head", "glasses", glass))
         section = ((0.0, 0.0018), (0.0032, 0.0018), (0.0032, -0.0018), (0.0, -0.0018))
         ring = np.stack([_ring(rim, middle, grow, shift) for grow, shift in section]).reshape(-1, 3)

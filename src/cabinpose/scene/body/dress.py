@@ -10,16 +10,15 @@ import numpy as np
 
 from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
-from cabinpose.scene.body.accessories import SHOE_MATERIAL, accessories, foot_faces_hidden, head_box
+from cabinpose.scene.body.accessories import accessories, foot_faces_hidden, head_box
 from cabinpose.scene.body.faces import Eyes, FaceMesh, FaceRig, ball, close_lips, mouth_faces
-from cabinpose.scene.body.garments import BOTTOMS, FULL_BEND_RAD, TOPS, Bend, layer
+from cabinpose.scene.body.garments import FULL_BEND_RAD, Bend, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX, DOF_INDEX
 from cabinpose.scene.body.shape import ShapeSpace
 from cabinpose.scene.body.sheets import PLACES, Accessory
-from cabinpose.scene.body.skirts import HANGING
 from cabinpose.scene.body.wardrobe import draped
 
 
@@ -49,11 +48,6 @@ class Dressed:
             share = min(max(float(q[DOF_INDEX[bend.dof]]) / FULL_BEND_RAD, 0.0), 1.0)
             rest[bend.rows] += bend.offsets * np.float32(share)
         return rest
-
-    @property
-    def is_top(self) -> Bools:
-        """(F,) whether it is of the top garment."""
-        return self.worn == PLACES.index("top")
 
 
 class _Seen(NamedTuple):
@@ -103,11 +97,11 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
     material = np.full(len(label), materials.MATERIAL_ID["skin"], np.uint8)
     place = np.zeros(len(label), np.uint8)
     for region in clothes.regions:
-        material[region.faces] = materials.MATERIAL_ID[region.material]
-        place[region.faces] = PLACES.index(region.worn)
-        if region.label is not None:
-            label[region.faces] = labels.LABEL_ID[region.label]
-    material[mouth_faces()] = materials.MATERIAL_ID["mouth"]
+        material[region.faces] = materials.MATERIAL_ID[region.of.material]
+        place[region.faces] = PLACES.index(region.of.coat)
+        if region.of.label:
+            label[region.faces] = labels.LABEL_ID[region.of.label]
+    material[mouth_faces()], place[mouth_faces()] = materials.MATERIAL_ID["mouth"], PLACES.index("")
     shod = outfit.shoes != "none"
     seen, eyes = _seen(shod=shod), Eyes.of(skin, eye_centres)
     surface = clothes.vertices[seen.vertex]
@@ -148,28 +142,3 @@ def _numbered(bends: tuple[Bend, ...], vertex: Ints) -> tuple[Bend, ...]:
     number = np.full(int(max(vertex.max(), *(bend.rows.max(initial=0) for bend in bends))) + 1, -1)
     number[vertex] = np.arange(len(vertex))
     return tuple(Bend(b.dof, number[b.rows][used], b.offsets[used]) for b in bends for used in (number[b.rows] >= 0,))
-
-
-def worn(outfit: Outfit) -> dict[str, tuple[str, str]]:
-    """What is on each place of the axis `worn` of datasets that bodies know of, and its material; "none" and "" without.
-
-    Of the skin there is no word but its material.
-    """
-
-    def place(name: str, material: str) -> tuple[str, str]:
-        return (name, "" if name == "none" else material)
-
-    bottoms = {name: cut.material for name, cut in BOTTOMS.items()} | {name: row.material for name, row in HANGING.items()}
-    top = place(outfit.top, TOPS[outfit.top].material if outfit.top in TOPS else "")
-    beside = [name for name in ("scarf", "gloves") if getattr(outfit, name)]
-    return {
-        "skin": ("", "skin"),
-        "hair": place("none" if outfit.hair == "bald" else outfit.hair, "hair"),
-        "beard": place("beard" if outfit.beard else "none", "hair"),
-        "top": (",".join((top[0], *beside)), top[1]),
-        "bottom": place(outfit.bottom, bottoms.get(outfit.bottom, "")),
-        "shoes": place(outfit.shoes, SHOE_MATERIAL.get(outfit.shoes, "")),
-        "headwear": place(outfit.headwear, "wool" if outfit.headwear in ("beanie", "hat") else "cotton"),
-        "glasses": place(outfit.glasses, "hard_plastic" if outfit.glasses == "sun" else "spectacle_lens"),
-        "mask": place("mask" if outfit.mask else "none", "synthetic_fabric"),
-    }

@@ -21,7 +21,7 @@ from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.coverage import HEM_M, borders, bump, step
 from cabinpose.scene.body.folds import around, bend_fields, blend_rows, folds, front_of_thigh, seen_chart, smooth_noise
 from cabinpose.scene.body.kinematics import RestArrays
-from cabinpose.scene.body.outfit import COVERING_HAIR, Outfit
+from cabinpose.scene.body.outfit import COVERING_HAIR, Garment, Outfit, worn
 from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.shape import load_shape_space
@@ -38,7 +38,7 @@ _BEYOND_M = 0.04  # cloth is hung as if it went on so far beyond its border: its
 
 @dataclass(frozen=True)
 class _Cut:
-    """A garment: thickness, looseness and height of folds (m) at fit 1, narrowing (m/m) below what it hangs from, material.
+    """A garment: thickness, looseness and height of folds (m) at fit 1, narrowing (m/m) below what it hangs from.
 
     border: of `coverage.borders`.
     """
@@ -47,25 +47,24 @@ class _Cut:
     loose: float
     folds: float
     narrowing: float
-    material: str
     border: str
 
 
 TOPS = {
-    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.18, "cotton", "t_shirt"),
-    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.20, "cotton", "long_sleeve"),
-    "shirt": _Cut(0.003, 0.017, 0.017, 0.16, "cotton", "jacket"),
-    "jumper": _Cut(0.008, 0.016, 0.018, 0.28, "wool", "jumper"),
-    "turtleneck": _Cut(0.007, 0.012, 0.016, 0.28, "wool", "jacket"),
-    "hoodie": _Cut(0.007, 0.020, 0.020, 0.20, "cotton", "jacket"),
-    "jacket": _Cut(0.012, 0.018, 0.018, 0.12, "synthetic_fabric", "jacket"),
-    "open_jacket": _Cut(0.010, 0.020, 0.018, 0.10, "synthetic_fabric", "jacket"),
-    "coat": _Cut(0.014, 0.020, 0.016, 0.08, "wool", "jacket"),
+    "t_shirt": _Cut(0.003, 0.017, 0.017, 0.18, "t_shirt"),
+    "long_sleeve": _Cut(0.003, 0.015, 0.017, 0.20, "long_sleeve"),
+    "shirt": _Cut(0.003, 0.017, 0.017, 0.16, "jacket"),
+    "jumper": _Cut(0.008, 0.016, 0.018, 0.28, "jumper"),
+    "turtleneck": _Cut(0.007, 0.012, 0.016, 0.28, "jacket"),
+    "hoodie": _Cut(0.007, 0.020, 0.020, 0.20, "jacket"),
+    "jacket": _Cut(0.012, 0.018, 0.018, 0.12, "jacket"),
+    "open_jacket": _Cut(0.010, 0.020, 0.018, 0.10, "jacket"),
+    "coat": _Cut(0.014, 0.020, 0.016, 0.08, "jacket"),
 }
 BOTTOMS = {
-    "trousers": _Cut(0.003, 0.010, 0.016, 0.08, "cotton", "trousers"),
-    "jeans": _Cut(0.004, 0.006, 0.014, 0.13, "denim", "jeans"),
-    "shorts": _Cut(0.003, 0.020, 0.016, 0.03, "cotton", "shorts"),
+    "trousers": _Cut(0.003, 0.010, 0.016, 0.08, "trousers"),
+    "jeans": _Cut(0.004, 0.006, 0.014, 0.13, "jeans"),
+    "shorts": _Cut(0.003, 0.020, 0.016, 0.03, "shorts"),
 }
 HAIR_DEPTH_M = {"bald": 0.0, "short": 0.009, "medium": 0.022, "long": 0.018, "bun": 0.010}
 FULL_BEND_RAD = 1.75  # of a joint: its folds grow no further
@@ -83,12 +82,10 @@ class Bend(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Faces (F,) of one material; label: None where the body part's own stays · worn: of `sheets.PLACES`."""
+    """Faces (F,) of one garment."""
 
     faces: Bools
-    material: str
-    label: str | None = None
-    worn: str = ""
+    of: Garment
 
 
 @dataclass(frozen=True)
@@ -225,8 +222,9 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     cut = cut_skin()
     bare, _ = _refined(skin)
     regions: list[Region] = []
+    wears = worn(outfit)
     if outfit.shoes != "none":
-        regions.append(Region(cut.inside["socks"], "cotton"))
+        regions.append(Region(cut.inside["socks"], wears["socks"]))
     if outfit.headwear in COVERING_HAIR:
         outfit = replace(outfit, hair="bald" if outfit.hair == "bald" else "short")
     evened = np.max(
@@ -238,35 +236,37 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
     if outfit.gloves:
         depth = GLOVE_M * seen_chart().arm * step(seen_chart().along_arm, 1.88, 0.04)
         hand = [labels.LABEL_ID[f"{part}_{side}"] for part in ("wrist", "hand") for side in ("left", "right")]
-        regions.append(Region(np.isin(cut.label, hand), "wool", None, "gloves"))
-    for name, cuts in ((outfit.bottom, BOTTOMS), (outfit.top, TOPS)):
+        regions.append(Region(np.isin(cut.label, hand), wears["gloves"]))
+    for place, name, cuts in (("bottom", outfit.bottom, BOTTOMS), ("top", outfit.top, TOPS)):
         if name not in cuts:
             continue
-        worn, top, border = cuts[name], cuts is TOPS, cuts[name].border
+        cloth, top, border = cuts[name], cuts is TOPS, cuts[name].border
         mask = _mask(border)
         slack = 0.25 + 0.75 * outfit.fit
         if top and outfit.bottom in BOTTOMS:  # the waistband does not show through
             hidden = np.where(mask > 0, step(_seen_field(outfit.bottom), 0.06, 0.08), 1.0)
             draped = skin + (draped - skin) * hidden[: len(skin), None].astype(np.float32)
             depth *= hidden
-        hung = _hung(_stretched(draped, border, worn.thickness), border, rest, worn.narrowing * (1.4 - 0.8 * outfit.fit), top=top)
+        hung = _hung(
+            _stretched(draped, border, cloth.thickness), border, rest, cloth.narrowing * (1.4 - 0.8 * outfit.fit), top=top
+        )
         where = np.flatnonzero(mask > 0)
         height = np.zeros(len(bare))
         height[where] = (
-            worn.folds * (0.5 + 0.5 * outfit.fit) * folds(where, borders()[border] > -0.05, outfit.folds, top=top, size=size)
+            cloth.folds * (0.5 + 0.5 * outfit.fit) * folds(where, borders()[border] > -0.05, outfit.folds, top=top, size=size)
         )
-        folded = np.where(mask > 0.5, [np.full(len(bare), _RIDGE_M * worn.folds), height - height[where].mean()], folded)
-        own = worn.loose * slack * _looseness(top=top) + height
+        folded = np.where(mask > 0.5, [np.full(len(bare), _RIDGE_M * cloth.folds), height - height[where].mean()], folded)
+        own = cloth.loose * slack * _looseness(top=top) + height
         below = np.where(depth > 0, depth + _LIFT_M * step(depth, 0.003, 0.006), 0)
-        outer = mask * np.maximum(own + worn.thickness, below)
-        regions.append(Region(cut.inside[border], worn.material, None, "top" if top else ""))
+        outer = mask * np.maximum(own + cloth.thickness, below)
+        regions.append(Region(cut.inside[border], wears[place]))
         if name == "open_jacket":  # between its fronts shows what is worn under it
             gap = opening()
             outer += step(gap, 0.0, 0.02) * (np.minimum(outer, _SHIRT_M) - outer)
             shirt = cut.inside[border] & (
                 (gap + 0.02 * step(-seen_chart().up, -0.78, 0.1))[cut.faces].mean(axis=1) > 0.0
             )  # its border lies under the fronts
-            regions.append(Region(shirt, "cotton", None, "inner"))
+            regions.append(Region(shirt, wears["inner"]))
         depth = np.maximum(depth, outer)
         share = mask.astype(np.float32)[:, None]
         draped = draped + share[: len(skin)] * (hung - draped)
@@ -320,22 +320,22 @@ def opening() -> Floats:
 
 def _hair(outfit: Outfit, regions: list[Region]) -> Floats:
     """Depth (V + N,) m of hair, beard and cap; their regions are appended."""
-    inside = cut_skin().inside
+    inside, wears = cut_skin().inside, worn(outfit)
     depth = np.zeros(len(_seen_field("scalp")))
     if outfit.hair != "bald":
         name = "scalp_and_ears" if outfit.hair in ("medium", "long") else "scalp"
         rng = np.random.Generator(np.random.Philox(key=2 * outfit.folds + 977))
         strands = smooth_noise(np.array([0.06]), borders()[name] > -0.02, 1.0, rng=rng)[:, 0]
         depth = HAIR_DEPTH_M[outfit.hair] * step(_seen_field(name), 0.010, 0.020) * (0.9 + 0.2 * strands)
-        regions.append(Region(inside[name], "hair", "hair"))
+        regions.append(Region(inside[name], wears["hair"]))
     depth = np.maximum(depth, BROW_DEPTH_M * step(_seen_field("brows"), 0.001, 0.003))
-    regions.append(Region(inside["brows"], "hair"))
+    regions.append(Region(inside["brows"], wears["brows"]))
     if outfit.beard:
         depth = np.maximum(depth, BEARD_DEPTH_M * step(_seen_field("beard"), 0.004, 0.016))
-        regions.append(Region(inside["beard"], "hair"))
+        regions.append(Region(inside["beard"], wears["beard"]))
     if outfit.headwear == "cap":
         field, rim = _seen_field("cap"), CAP_DEPTH_M * _mask("cap")
         flat = depth * step(-field, 0.01, 0.02)  # hair lies flat under a cap and next to its rim
         depth = np.where(field > 0, CAP_DEPTH_M + 0.25 * depth, np.maximum(rim, flat))
-        regions.append(Region(inside["cap"], "cotton", "headwear"))
+        regions.append(Region(inside["cap"], wears["headwear"]))
     return depth

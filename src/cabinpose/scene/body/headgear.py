@@ -9,6 +9,7 @@ import numpy as np
 
 from cabinpose.core import Floats
 from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.outfit import Garment
 from cabinpose.scene.body.sheets import Accessory, Cloud, Draped, drape, rod
 
 _ROUND = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
@@ -36,7 +37,7 @@ def _dome(head: Head, rim: Floats, off: Floats, rows: int) -> Draped:
     return drape(head.cloud, head.middle + 0.0 * direction, direction, ball=0.03 * head.size, off=off, sweeps=20, closed=True)
 
 
-def beanie(head: Head) -> list[Accessory]:
+def beanie(head: Head, of: Garment) -> list[Accessory]:
     """A knitted cap over the tops of the ears, its edge turned up."""
     rim = np.radians(12.0 + 16.0 * rp.cos(_ROUND))
     rows = 18
@@ -45,10 +46,10 @@ def beanie(head: Head) -> list[Accessory]:
     crown = 0.012 * rp.power(np.linspace(0.0, 1.0, rows)[:, None], 3.0)  # stands up a little
     ribs = 0.0008 * rp.cos(24 * _ROUND)
     made = _dome(head, rim, 0.004 + edge + crown + ribs, rows)
-    return [made.cloth(0.004, "wool", "headwear", closed=True, label="headwear")]
+    return [made.cloth(0.004, of, closed=True)]
 
 
-def hat(head: Head) -> list[Accessory]:
+def hat(head: Head, of: Garment) -> list[Accessory]:
     """A hat with a crown and a brim all round."""
     rim, rows = np.radians(26.0 + 6.0 * rp.cos(_ROUND)), 14
     crown = 0.004 + 0.022 * rp.power(np.linspace(0.0, 1.0, rows)[:, None], 0.5)
@@ -66,7 +67,7 @@ def hat(head: Head) -> list[Accessory]:
         np.concatenate([np.repeat(made.weights[:1], n, axis=0), made.weights]),
         np.concatenate([np.repeat(made.label[:1], n, axis=0), made.label]),
     )  # fmt: skip
-    return [whole.cloth(0.003, "wool", "headwear", closed=True, label="headwear")]
+    return [whole.cloth(0.003, of, closed=True)]
 
 
 def _wrapped(head: Head, opening: tuple[float, float, float, float, float], ends: tuple[float, float], off: Floats) -> Draped:
@@ -97,16 +98,16 @@ def _wrapped(head: Head, opening: tuple[float, float, float, float, float], ends
     return drape(head.cloud, start + down * (end - start), direction, ball=0.035 * head.size, off=off, sweeps=8, closed=True)
 
 
-def headscarf(head: Head) -> list[Accessory]:
+def headscarf(head: Head, of: Garment) -> list[Accessory]:
     """A scarf over hair, ears and neck, tight about the face, that ends on chest and shoulders (hijab)."""
     rows = 30
     share = np.linspace(0.0, 1.0, rows)[:, None]
     folds = 0.004 * np.clip(3 * share - 1.4, 0, 1) * rp.sin(7 * _ROUND + 9 * share + 1.0)
     made = _wrapped(head, (0.066, 0.090, -0.040, -0.010, -0.012), (0.07, 0.05), 0.004 + 0.004 * share + folds)
-    return [made.cloth(0.003, "cotton", "headwear", closed=True, label="headwear")]
+    return [made.cloth(0.003, of, closed=True)]
 
 
-def hood(head: Head) -> list[Accessory]:
+def hood(head: Head, of: Garment) -> list[Accessory]:
     """The hood of a jumper over the head: it stands off, and its edge is before the temples."""
     rows = 26
     share = np.linspace(0.0, 1.0, rows)[:, None]
@@ -114,10 +115,10 @@ def hood(head: Head) -> list[Accessory]:
     loose = 0.014 + 0.010 * rp.sin(np.pi * share) + 0.010 * np.clip(rp.cos(_ROUND), 0, 1) * rp.sin(np.pi * share)
     made = _wrapped(head, (0.085, 0.105, -0.030, 0.005, -0.035), (0.010, 0.035), loose + folds)
     thick = 0.004 + 0.005 * np.clip(1 - 8 * share, 0, 1)
-    return [made.cloth(thick, "cotton", "top", closed=True, label="headwear")]
+    return [made.cloth(thick, of, closed=True)]
 
 
-def mask(head: Head, ear: float) -> list[Accessory]:
+def mask(head: Head, ear: float, of: Garment) -> list[Accessory]:
     """A folded mask over nose, mouth and chin with loops to the ears, `ear` m aside."""
     rows, columns = 12, 25
     share, across = np.linspace(0.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
@@ -129,10 +130,10 @@ def mask(head: Head, ear: float) -> list[Accessory]:
     direction = np.stack([rp.cos(azimuth), rp.sin(azimuth), 0.0 * azimuth - 0.25 * np.clip(share - 0.75, 0, 1)], axis=2)
     pleats = 0.0012 * rp.cos(6 * np.pi * share) + 0.0 * across
     made = drape(head.cloud, start, direction, ball=0.02 * head.size, off=0.004 + pleats, sweeps=40, closed=False)
-    parts = [made.cloth(0.002, "synthetic_fabric", "mask", closed=False)]
+    parts = [made.cloth(0.002, of, closed=False)]
     for column, side in ((0, -1.0), (-1, 1.0)):
         for row in (1, rows - 2):
             behind = head.eyes + (-0.088 * head.size, side * ear, (0.012 if row == 1 else -0.045) * head.size)
-            loop = rod(made.points[row, column], behind, 0.0012, "head_left" if side > 0 else "head_right", "synthetic_fabric")
-            parts.append(replace(loop, worn="mask"))
+            loop = rod(made.points[row, column], behind, 0.0012, "head_left" if side > 0 else "head_right", of.material)
+            parts.append(replace(loop, worn=of.coat))
     return parts

@@ -8,6 +8,7 @@ import numpy as np
 
 from cabinpose.core import Floats
 from cabinpose.core import reproducible as rp
+from cabinpose.scene.body.outfit import Garment
 from cabinpose.scene.body.sheets import Accessory, Cloud, Draped, drape
 
 _MIDDLE_M = 0.052  # of the neck over its root
@@ -47,24 +48,24 @@ def _folded(neck: Neck, angle: Floats, out: Floats, up: Floats) -> Draped:
     return Draped(points, outwards, weights, np.repeat(path.label, rows, axis=0))
 
 
-def shirt_collar(neck: Neck) -> list[Accessory]:
+def shirt_collar(neck: Neck, of: Garment) -> list[Accessory]:
     """The turned-down collar of a shirt, open before the throat; where the leaf dips into the shoulders it lies on them."""
     angle = np.linspace(np.radians(10.0), np.radians(350.0), 41)
     front = np.clip(rp.cos(angle), 0, 1) ** 2
     leaf = np.array((0.0, 0.0, 0.0, 0.0, 0.2, 0.6, 1.0))[:, None]
     out = np.array((0.003, 0.004, 0.005, 0.009, 0.014, 0.018, 0.023))[:, None] + 0.012 * leaf * front
     up = np.array((-0.055, -0.020, -0.004, 0.001, -0.005, -0.018, -0.034))[:, None] - (0.018 + 0.022 * leaf) * front
-    return [_folded(neck, angle, out, up).cloth(0.002, "cotton", "top", closed=False)]
+    return [_folded(neck, angle, out, up).cloth(0.002, of, closed=False)]
 
 
-def stand_collar(neck: Neck) -> list[Accessory]:
+def stand_collar(neck: Neck, of: Garment) -> list[Accessory]:
     """A collar that stands up about the whole neck."""
     rows = np.linspace(-0.06, 0.018, 9)[:, None]
     bulge = 0.006 + 0.003 * rp.sin(90.0 * rows) + np.clip(-rows - 0.03, 0, None) * 0.3
     return [
         _folded(
             neck, _ROUND, bulge, rows * (1 - 0.45 * np.clip(rp.cos(_ROUND), 0, 1) + 0.4 * np.clip(-rp.cos(_ROUND), 0, 1))
-        ).cloth(0.004, "wool", "top", closed=True)
+        ).cloth(0.004, of, closed=True)
     ]
 
 
@@ -75,7 +76,7 @@ def _roll(path: Draped, across: Floats, up: Floats, half: Floats) -> Floats:
     return np.asarray(path.points[0][:, None] + round_off + half[:, None, 1, None] * rp.sin(turn)[None, :, None] * up[:, None])
 
 
-def _rolled(path: Draped, half: Floats, up: Floats, drop: Floats, material: str, worn: str) -> Accessory:
+def _rolled(path: Draped, half: Floats, up: Floats, drop: Floats, of: Garment) -> Accessory:
     """A closed roll about the neck, lying outside of a row of cloth; drop: (m,) m that it hangs below."""
     across = path.outwards[0]
     sections = _roll(path, across, up, half) + across[:, None] * half[:, None, :1]
@@ -85,19 +86,19 @@ def _rolled(path: Draped, half: Floats, up: Floats, drop: Floats, material: str,
         sections.transpose(1, 0, 2), np.broadcast_to(across, (k, m, 3)), np.repeat(path.weights, k, axis=0),
         np.repeat(path.label, k, axis=0),
     )  # fmt: skip
-    return rolled.solid(material, worn)
+    return rolled.solid(of)
 
 
-def hood_down(neck: Neck) -> list[Accessory]:
+def hood_down(neck: Neck, of: Garment) -> list[Accessory]:
     """A hood that hangs down behind: a bag of cloth on the back, its edges run to the throat."""
     behind = 0.5 - 0.5 * rp.cos(_ROUND)
     path = _about(neck, (0.016 + 0.018 * rp.sin(_ROUND) ** 2)[None] * neck.size, _ROUND, 0.0, closed=True)
     half = neck.size * np.stack([0.004 + 0.024 * behind**2, 0.006 + 0.056 * rp.power(behind, 3.0)], axis=1)
     up = np.stack([0.55 * behind**2 * rp.cos(_ROUND), 0.0 * behind, 1.0 + 0.0 * behind], axis=1)
-    return [_rolled(path, half, up, neck.size * 0.045 * rp.power(behind, 3.0), "cotton", "top")]
+    return [_rolled(path, half, up, neck.size * 0.045 * rp.power(behind, 3.0), of)]
 
 
-def scarf(neck: Neck) -> list[Accessory]:
+def scarf(neck: Neck, of: Garment) -> list[Accessory]:
     """A scarf wound about the neck, with one end that hangs down the chest."""
     waves = rp.sin(3 * _ROUND + 0.7)
     parts = []
@@ -106,7 +107,7 @@ def scarf(neck: Neck) -> list[Accessory]:
         path = _about(neck, (level - tilt - 0.012 * rp.cos(_ROUND))[None] * neck.size, _ROUND, -0.002, closed=True, sweeps=6)
         half = neck.size * np.stack([thick + 0.003 * waves, thick * 1.35 - 0.003 * waves], axis=1)
         up = np.broadcast_to((0.0, 0.0, 1.0), (len(_ROUND), 3))
-        parts.append(_rolled(path, half, up, 0.0 * _ROUND, "wool", "scarf"))
+        parts.append(_rolled(path, half, up, 0.0 * _ROUND, of))
     rows, columns = 16, 9
     share, across = np.linspace(0.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)
     origin = np.zeros((rows, columns, 3)) + neck.root
@@ -116,4 +117,4 @@ def scarf(neck: Neck) -> list[Accessory]:
     direction = np.broadcast_to((1.0, 0.0, 0.0), origin.shape)
     cloth = 0.028 - 0.020 * np.minimum(4 * share, 1) + 0.003 * rp.cos(3 * np.pi * across + 2 * share)
     end = drape(neck.cloud, origin, direction, ball=0.04, off=cloth, sweeps=25, closed=False)
-    return [*parts, end.cloth(0.006, "wool", "scarf", closed=False)]
+    return [*parts, end.cloth(0.006, of, closed=False)]

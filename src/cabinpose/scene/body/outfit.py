@@ -1,14 +1,15 @@
-"""What people wear: `Outfit` names garments, hair and accessories; how they look is in `garments` and `accessories`."""
+"""What people wear: `Outfit` names garments, hair and accessories, `GARMENTS` what they are of. Shapes are in `wardrobe`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Field
+from pydantic.json_schema import SkipJsonSchema
 
 from cabinpose.core import ConfigError, unknown_name
 
@@ -26,6 +27,52 @@ _CHOICES = {
 }  # fmt: skip
 OVER_HAIR, COVERING_HAIR = ("cap", "beanie", "hat"), ("hood", "headscarf")
 """Headwear from whose rim hair hangs, and that under which it lies flat."""
+
+
+class Garment(NamedTuple):
+    """Whose colour and dye something worn has, and what it is made of.
+
+    coat: the surface of a person (`sheets.PLACES`, "skin", "shoes"), "" where the material alone tells · label: of a class of its
+    own, "" where it has that of the body below.
+    """
+
+    coat: str
+    material: str
+    label: str = ""
+
+
+GARMENTS: Mapping[str, Mapping[str, Garment]] = MappingProxyType(
+    {
+        "skin": {"skin": Garment("skin", "skin")},
+        "hair": dict.fromkeys(("short", "medium", "long", "bun"), Garment("hair", "hair", "hair")),
+        "brows": {"brows": Garment("hair", "hair")},
+        "beard": {"beard": Garment("hair", "hair")},
+        "top": {
+            "t_shirt": Garment("top", "cotton"), "long_sleeve": Garment("top", "cotton"), "shirt": Garment("top", "cotton"),
+            "jumper": Garment("top", "wool"), "turtleneck": Garment("top", "wool"), "hoodie": Garment("top", "cotton"),
+            "jacket": Garment("top", "synthetic_fabric"), "open_jacket": Garment("top", "synthetic_fabric"),
+            "coat": Garment("top", "wool"),
+        },
+        "inner": {"t_shirt": Garment("inner", "cotton")},
+        "bottom": {
+            "trousers": Garment("bottom", "cotton"), "jeans": Garment("bottom", "denim"), "shorts": Garment("bottom", "cotton"),
+            "skirt": Garment("bottom", "cotton"), "long_skirt": Garment("bottom", "cotton"), "dress": Garment("bottom", "cotton"),
+        },
+        "socks": {"socks": Garment("socks", "cotton")},
+        "shoes": {"trainers": Garment("shoes", "synthetic_fabric"), "leather": Garment("shoes", "leather_shoe")},
+        "headwear": {
+            "cap": Garment("headwear", "cotton", "headwear"), "beanie": Garment("headwear", "wool", "headwear"),
+            "hat": Garment("headwear", "wool", "headwear"), "headscarf": Garment("headwear", "cotton", "headwear"),
+            "hood": Garment("top", "cotton", "headwear"),
+        },
+        "glasses": {"clear": Garment("", "spectacle_lens", "glasses"), "sun": Garment("", "hard_plastic", "glasses")},
+        "mask": {"mask": Garment("mask", "synthetic_fabric")},
+        "scarf": {"scarf": Garment("scarf", "wool")},
+        "gloves": {"gloves": Garment("gloves", "wool")},
+    }
+)  # fmt: skip
+"""By place and name: the one table that clothes are drawn by and labels go by; "inner" is the shirt under an open jacket."""
+_BODICES = ("t_shirt", "long_sleeve")  # with a dress they are the upper part of it
 
 _HAIR: Mapping[Hair, float] = MappingProxyType({"short": 4.0, "medium": 3.0, "long": 2.0, "bun": 1.0, "bald": 1.0})
 # How people wear their hair, of a hundred men and women who are not bald: assumed.
@@ -88,7 +135,7 @@ class Outfit:
     mask: bool = False
     fit: float = 0.5
     folds: int = 0
-    number: int = 0
+    number: Annotated[SkipJsonSchema[int], Field(exclude=True)] = 0  # of the place in a list: no key of a configuration
 
     def __post_init__(self) -> None:
         for kind, known in _CHOICES.items():
@@ -135,6 +182,33 @@ class Outfit:
         elif other.headwear == "headscarf":
             other = replace(other, headwear="none")
         return replace(other, hair=self.hair, beard=self.beard, glasses=glasses)
+
+
+def _names(outfit: Outfit) -> dict[str, str]:
+    """What is worn at each place of `GARMENTS`; what is not among their names is nothing."""
+    small = {name: name if getattr(outfit, name) else "none" for name in ("beard", "scarf", "gloves", "mask")}
+    return small | {
+        "skin": "skin", "hair": "none" if outfit.hair == "bald" else outfit.hair, "brows": "brows", "top": outfit.top,
+        "inner": "t_shirt" if outfit.top == "open_jacket" else "none", "bottom": outfit.bottom, "shoes": outfit.shoes,
+        "socks": "none" if outfit.shoes == "none" else "socks", "headwear": outfit.headwear, "glasses": outfit.glasses,
+    }  # fmt: skip
+
+
+def worn(outfit: Outfit) -> dict[str, Garment]:
+    """What is worn, by place of `GARMENTS`, without the places where nothing is; a dress with a plain top is of one cloth."""
+    names = _names(outfit)
+    made = {place: GARMENTS[place][name] for place, name in names.items() if name in GARMENTS[place]}
+    if outfit.bottom == "dress":
+        made |= {place: made["bottom"] for place in ("top", "inner") if names[place] in _BODICES}
+    return made
+
+
+def worn_words(outfit: Outfit) -> dict[str, str]:
+    """What is on each place of the axis `worn` of datasets that bodies know of, "none" without; of the skin there is no word."""
+    names = _names(outfit)
+    top = ",".join((names["top"], *(name for name in ("scarf", "gloves") if names[name] != "none")))
+    told = ("hair", "beard", "bottom", "shoes", "headwear", "glasses", "mask")
+    return {"skin": "", "top": top} | {place: names[place] for place in told}
 
 
 def _pick(x: float, weights: Mapping[Any, float]) -> Any:

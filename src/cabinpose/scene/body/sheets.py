@@ -11,11 +11,12 @@ import numpy as np
 from cabinpose.core import Bools, Bytes, Floats, Ints, Ints32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import labels, materials
+from cabinpose.scene.body.outfit import Garment
 from cabinpose.scene.body.parts import cut_skin
 from cabinpose.scene.body.rig import BONES
 
-PLACES = ("", "top", "bottom", "headwear", "inner", "scarf", "gloves", "mask")
-"""What triangles of clothes belong to where their material and label do not tell; "inner" is the shirt under an open jacket."""
+PLACES = ("", "hair", "top", "bottom", "socks", "headwear", "inner", "scarf", "gloves", "mask")
+"""Whose colour and dye triangles have where their material does not tell; "inner" is the shirt under an open jacket."""
 _TURNS = 48  # directions of a section's hull
 
 
@@ -23,7 +24,7 @@ _TURNS = 48  # directions of a section's hull
 class Accessory:
     """A mesh at rest (N, 3) m in root axes with faces (F, 3), bound to `bones` with weights (N, len(bones)).
 
-    worn: the place of `PLACES` whose colour and dye it has, "" where its material or label says so.
+    worn: the place of `PLACES` whose colour and dye it has, "" where its material says so.
     """
 
     vertices: Floats
@@ -35,12 +36,12 @@ class Accessory:
     worn: str = ""
 
 
-def rigid(vertices: Floats, faces: Ints32, bone: str, label: str, material: str) -> Accessory:
+def rigid(vertices: Floats, faces: Ints32, bone: str, label: str, material: str, worn: str = "") -> Accessory:
     """A mesh that moves with one bone."""
     count = len(faces)
     return Accessory(
         vertices, faces, (bone,), np.ones((len(vertices), 1)), np.full(count, labels.LABEL_ID[label], np.uint8),
-        np.full(count, materials.MATERIAL_ID[material], np.uint8),
+        np.full(count, materials.MATERIAL_ID[material], np.uint8), worn,
     )  # fmt: skip
 
 
@@ -138,26 +139,25 @@ class Draped(NamedTuple):
     weights: Floats
     label: Bytes
 
-    def cloth(self, thick: Floats | float, material: str, worn: str, *, closed: bool, label: str = "") -> Accessory:
-        """The cloth, `thick` m inwards; closed: the last column joins the first · label: of a class of its own."""
+    def cloth(self, thick: Floats | float, of: Garment, *, closed: bool) -> Accessory:
+        """The cloth of a garment, `thick` m inwards; closed: the last column joins the first."""
         inner = self.points - self.outwards * (np.zeros(self.points.shape[:2]) + thick)[..., None]
         vertices, faces = (shell if closed else sheet)(self.points, inner)
-        return self._made(vertices, faces, 2, (material, worn, label))
+        return self._made(vertices, faces, 2, of)
 
-    def solid(self, material: str, worn: str) -> Accessory:
+    def solid(self, of: Garment) -> Accessory:
         """What the points enclose, whose last row and column join the first."""
         n, m = self.label.shape
         faces = np.concatenate([grid_faces(n, m, closed=True), closing_faces(n, m)])
-        return self._made(self.points.reshape(-1, 3), faces, 1, (material, worn, ""))
+        return self._made(self.points.reshape(-1, 3), faces, 1, of)
 
-    def _made(self, vertices: Floats, faces: Ints32, times: int, of: tuple[str, str, str]) -> Accessory:
-        material, worn, label = of
+    def _made(self, vertices: Floats, faces: Ints32, times: int, of: Garment) -> Accessory:
         under = np.tile(self.label.ravel(), times)[faces[:, 0]]
         return Accessory(
             vertices, outward(vertices - vertices.mean(axis=0), faces), BONES,
             np.tile(self.weights.reshape(-1, len(BONES)), (times, 1)),
-            np.full(len(faces), labels.LABEL_ID[label], np.uint8) if label else under,
-            np.full(len(faces), materials.MATERIAL_ID[material], np.uint8), worn,
+            np.full(len(faces), labels.LABEL_ID[of.label], np.uint8) if of.label else under,
+            np.full(len(faces), materials.MATERIAL_ID[of.material], np.uint8), of.coat,
         )  # fmt: skip
 
 

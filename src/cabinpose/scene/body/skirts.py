@@ -10,6 +10,7 @@ from cabinpose.core import Bytes, Floats
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
 from cabinpose.scene.body.folds import seen_chart
+from cabinpose.scene.body.outfit import Garment
 from cabinpose.scene.body.sheets import Accessory, Cloud, Draped, bound, hull_radius
 
 _ROWS, _COLUMNS, _NEAR_M = 26, 56, 0.03
@@ -20,7 +21,7 @@ class Hanging:
     """A garment about both legs.
 
     waist, end: where it begins up the trunk and ends along the leg, units of the chart · flare: m/m · gap: half of it, in front,
-    rad · thick: m · worn: of `sheets.PLACES`.
+    rad · thick: m.
     """
 
     waist: float
@@ -28,19 +29,17 @@ class Hanging:
     flare: float
     gap: float
     thick: float
-    material: str
-    worn: str
 
 
 HANGING = {
-    "skirt": Hanging(0.14, 0.90, 0.015, 0.0, 0.003, "cotton", "bottom"),
-    "long_skirt": Hanging(0.14, 1.62, 0.03, 0.0, 0.003, "cotton", "bottom"),
-    "dress": Hanging(0.30, 0.98, 0.03, 0.0, 0.003, "cotton", "top"),
-    "coat": Hanging(0.16, 0.92, 0.02, 0.10, 0.006, "wool", "top"),
+    "skirt": Hanging(0.14, 0.90, 0.015, 0.0, 0.003),
+    "long_skirt": Hanging(0.14, 1.62, 0.03, 0.0, 0.003),
+    "dress": Hanging(0.30, 0.98, 0.03, 0.0, 0.003),
+    "coat": Hanging(0.16, 0.92, 0.02, 0.10, 0.006),
 }
 
 
-def hanging(kind: str, cloud: Cloud, heads: tuple[Floats, Floats, Floats], folds: int) -> Accessory:
+def hanging(kind: str, of: Garment, cloud: Cloud, heads: tuple[Floats, Floats, Floats], folds: int) -> Accessory:
     """One of `HANGING` over a cloud of trunk and legs; heads: of hip, knee and ankle (3,) m on the left · folds: their number."""
     row, (hip, knee, ankle) = HANGING[kind], heads
     c = seen_chart()
@@ -70,7 +69,7 @@ def hanging(kind: str, cloud: Cloud, heads: tuple[Floats, Floats, Floats], folds
     at[..., 2] += z[:, None]
     weights, label = _two_legs(cloud, at, abs(float(hip[1])))
     made = Draped(at, direction, weights, label)
-    return made.cloth(row.thick, row.material, row.worn, closed=row.gap == 0)
+    return made.cloth(row.thick, of, closed=row.gap == 0)
 
 
 def _two_legs(cloud: Cloud, at: Floats, aside: float) -> tuple[Floats, Bytes]:

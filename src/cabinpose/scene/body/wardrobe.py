@@ -12,7 +12,7 @@ from cabinpose.scene.body.garments import half_opening
 from cabinpose.scene.body.headgear import Head, beanie, hat, headscarf, hood, mask
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.neckwear import Neck, hood_down, scarf, shirt_collar, stand_collar
-from cabinpose.scene.body.outfit import Outfit
+from cabinpose.scene.body.outfit import Garment, Outfit, worn
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.sheets import Accessory, Cloud, drape
 from cabinpose.scene.body.skirts import HANGING, hanging
@@ -39,32 +39,34 @@ def draped(
     neck = rest.heads[BONE_INDEX["neck01"]]
     size = head[3] / _HEAD_M
     made: list[Accessory] = []
+    wears = worn(outfit)
     collar = _AT_NECKS.get(outfit.top)
     if (collar is not None and not (collar is hood_down and outfit.headwear == "hood")) or outfit.scarf:
         at = Neck(everything.where((c.head + c.neck > 0.3) | ((c.up > 0.45) & (c.arm < 0.5))), neck, size)
         if collar is not None and not (collar is hood_down and outfit.headwear == "hood"):
-            made += collar(at)
+            made += collar(at, wears["top"])
         if outfit.scarf:
-            made += scarf(at)
+            made += scarf(at, wears["scarf"])
     if outfit.headwear in _ON_HEADS or outfit.mask:
         there = (c.head + c.neck > 0.3) | ((c.up > 0.75) & (c.arm < 0.5))
         there[1::2] = False  # half of the vertices are near enough to each other
         somebody = Head(everything.where(there), eyes, neck, size)
         if outfit.mask:
-            made += mask(somebody, head[0] + 0.002)
+            made += mask(somebody, head[0] + 0.002, wears["mask"])
         if outfit.headwear in _ON_HEADS:
-            made += _ON_HEADS[outfit.headwear](somebody)
+            made += _ON_HEADS[outfit.headwear](somebody, wears["headwear"])
     if outfit.top == "open_jacket":
-        made += [_front(everything.where((c.arm < 0.4) & (c.up > -0.15) & (c.neck < 0.5)), neck, side) for side in (1.0, -1.0)]
-    for kind in (outfit.bottom, outfit.top):
+        chest = everything.where((c.arm < 0.4) & (c.up > -0.15) & (c.neck < 0.5))
+        made += [_front(chest, neck, side, wears["top"]) for side in (1.0, -1.0)]
+    for place, kind in (("bottom", outfit.bottom), ("top", outfit.top)):
         if kind in HANGING:
             legs = rest.heads[[BONE_INDEX["l" + bone] for bone in ("thigh", "shank", "foot")]]
             below = everything.where((c.arm < 0.3) & (c.up < 0.5))
-            made.append(hanging(kind, below, (legs[0], legs[1], legs[2]), outfit.folds))
+            made.append(hanging(kind, wears[place], below, (legs[0], legs[1], legs[2]), outfit.folds))
     return made
 
 
-def _front(cloud: Cloud, neck: Floats, side: float) -> Accessory:
+def _front(cloud: Cloud, neck: Floats, side: float, of: Garment) -> Accessory:
     """The front of an open jacket, from its edge to where it lies on the chest; side: 1 left, -1 right."""
     rows, columns = 30, 10
     size = neck[2] / load_chart().heads["neck01"][2]
@@ -77,4 +79,4 @@ def _front(cloud: Cloud, neck: Floats, side: float) -> Accessory:
     stands = 0.012 + 0.022 * np.clip((0.8 - up) / 0.6, 0.0, 1.0) + 0.004 * rp.sin(14.0 * up + side)
     direction = np.broadcast_to((1.0, 0.0, 0.0), origin.shape)
     made = drape(cloud, origin, direction, ball=0.03, off=0.004 - 0.009 * out**2 + free * stands, sweeps=10, closed=False)
-    return made.cloth(0.004, "synthetic_fabric", "top", closed=False)
+    return made.cloth(0.004, of, closed=False)
