@@ -340,7 +340,7 @@ class SynthConfig(Model):
                 hint="choose noise kind structured_light or empirical",
             )
         if self.sunlight is not None:
-            check_sunlight(self.scene.kind, self.noise.kind)
+            check_sunlight(self.scene.kind, self.noise.kind, self.images.light if self.images else "any")
         sequence = self.scene.sequence
         if sequence is None and sensor.temporal_median > 1:
             raise ConfigError(
