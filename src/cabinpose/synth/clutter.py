@@ -20,6 +20,7 @@ from cabinpose.scene.contact import PlacedField
 from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, felt, make_thing, stands_free
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.once import cached_once
+from cabinpose.synth.streams import at_rank
 from cabinpose.synth.validate import Seated
 
 CLEAR_M = 0.05  # from the skin of anybody, who has clothes on: nothing is nearer
@@ -33,6 +34,7 @@ _IN_THE_AIR = ("phone_at_vent", "phone_on_screen")  # carried by what they are f
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
 _FLOOR_AHEAD_M = -0.06  # of the heels
 _LYING = axis_rotation("x", 0.5 * math.pi)
+_KEPT = 128  # places of things, which keep their cars: some frames' worth of them
 _SPOTS_M = (-0.03, 0.0, 0.03)  # beside the middle of a place
 
 
@@ -91,7 +93,7 @@ class LyingAbout:
     def __init__(self, scale: float) -> None:
         """scale: of the shares of `PLACES_OF_CLUTTER`."""
         self._scale = scale
-        self._puts = cached_once(512)(_put)
+        self._puts = cached_once(_KEPT)(_put)
 
     def about(
         self, cast: Cast, bodies: Sequence[PosedBody], seated: Seated, eye: Floats, *, rng: np.random.Generator
@@ -102,17 +104,10 @@ class LyingAbout:
         for (name, place), (chance, which, variant, spot) in zip(PLACES_OF_CLUTTER.items(), draws.tolist(), strict=True):
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
-            found = self._puts(cast.cabin, name, _of_share(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
+            found = self._puts(cast.cabin, name, at_rank(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
             if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
                 result.append(found)
         return tuple(PlacedThing(one.thing, one.at, "", "car") for one in result)
-
-
-def _of_share(kinds: Mapping[str, float], rank: float) -> str:
-    """One of the kinds, by a rank of 0 to 1 over their shares."""
-    names = list(kinds)
-    bounds = np.cumsum([kinds[name] for name in names])
-    return names[min(int(np.searchsorted(bounds, rank * bounds[-1], side="right")), len(names) - 1)]
 
 
 def _free_seat(cast: Cast, slot: str) -> bool:
