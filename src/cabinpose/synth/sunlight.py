@@ -49,7 +49,8 @@ class Sunlight(Model):
 
     latitude_deg: float = Field(48.0, ge=-90.0, le=90.0, description="Where the car is (degrees north).")
     days: tuple[_Day, _Day] = Field(
-        (1, 365), description="First and last day of the year, over its end if the last is before the first; drawn for each frame."
+        (1, 365),
+        description="First and last day of the year, over its end where the last is the lesser; drawn for each frame.",
     )
     hours: tuple[_Hour, _Hour] = Field((8.0, 18.0), description="First and last hour of solar time; drawn for each frame.")
     heading_deg: _Degrees | None = Field(None, description="Where the car points (degrees east of north); none: anywhere.")
