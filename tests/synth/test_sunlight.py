@@ -207,7 +207,7 @@ def test_days_and_hours_are_those_of_a_year_and_a_day(key: str, value: list[floa
 
 
 def test_days_go_over_the_end_of_the_year() -> None:
-    """November to January, at noon in the north: never higher than on the first and the last day, and on both sides of the end."""
+    """November to January, at noon in the north: never higher than on the first and the last day, on both sides of the end."""
     light = Sunlight(latitude_deg=48.0, days=(310, 20), hours=(12.0, 12.0))
     found = [light.draw(5, index, None).elevation_deg for index in range(200)]
     highest = max(sun_position(48.0, day, 12.0)[1] for day in (310, 20))

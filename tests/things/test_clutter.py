@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +18,7 @@ from cabinpose.scene import merge
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.labels import LABEL_ID
 from cabinpose.scene.things import CLUTTER, VARIANTS, make_thing
-from cabinpose.synth import FrameMaker, SynthConfig, exact_config
+from cabinpose.synth import FrameMaker, SynthConfig, exact_config, preflight
 from cabinpose.synth.clutter import CLEAR_M, PLACES_OF_CLUTTER, LyingAbout
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
@@ -26,6 +28,7 @@ PLAIN: dict[str, Any] = {
     "cars": ["sedan", "suv", "city_car"],
     "occupancy": {"driver": 0.9, "front_passenger": 0.5, "rear_left": 0.3},
 }
+THING = {"kind": "cup", "variant": 0, "slot": "driver", "where": "lap", "vehicle_from_thing": np.eye(4).tolist()}
 
 
 def scenes(count: int, **scene: Any) -> list[Scene]:
@@ -131,10 +134,10 @@ def test_people_are_the_same_with_and_without_and_frames_come_again() -> None:
 
 
 def test_frames_written_out_come_again_with_all_that_lies_about() -> None:
-    """Frames until five kinds lay about, as they are and as they are written out, to the last bit of depth and labels."""
+    """Frames until eight kinds lay about, as they are and as they are written out, to the last bit of depth and labels."""
     config, seen = SynthConfig.parse({"scene": PLAIN | {"clutter": 10.0}}), set[str]()
     maker = FrameMaker(config, 0)
-    for index in range(12):
+    for index in range(20):
         frame, scene = maker.make(index)
         about = {t.thing.kind for t in scene.things if t.at == "car"}
         if about <= seen:
@@ -147,9 +150,9 @@ def test_frames_written_out_come_again_with_all_that_lies_about() -> None:
         things = {LABEL_ID[t.thing.label] for t in scene.things}
         assert things & set(np.unique(frame["labels"]).tolist())
         assert (frame["instance"][frame["labels"] >= LABEL_ID["infant_seat"]] == 0).all()
-        if len(seen) >= 5:
+        if len(seen) >= 8:
             break
-    assert len(seen) >= 5
+    assert len(seen) >= 8
 
 
 @pytest.mark.parametrize(
@@ -157,7 +160,7 @@ def test_frames_written_out_come_again_with_all_that_lies_about() -> None:
     [("keys", "lap", "driver"), ("hung_jacket", "seat", "rear_left"), ("blanket", "car", "")],
 )
 def test_what_lies_about_is_on_no_lap_and_cloth_does_not_lie_about(kind: str, where: str, slot: str) -> None:
-    thing = {"kind": kind, "variant": 0, "slot": slot, "where": where, "vehicle_from_thing": np.eye(4).tolist()}
+    thing = THING | {"kind": kind, "slot": slot, "where": where}
     with pytest.raises(ConfigError, match=kind) as refused:
         SynthConfig.parse({"scene": {"things": [thing]}})
     assert "where: " in (refused.value.hint or "")
@@ -170,3 +173,32 @@ def test_none_lies_about_in_sequences_and_where_nothing_is_asked_for() -> None:
     assert not SynthConfig.parse({"scene": {"clutter": 0}}).scene.brings_things
     assert SynthConfig.parse({}).scene.lies_about
     assert math.isclose(sum(place.share for place in PLACES_OF_CLUTTER.values()), 0.95)
+
+
+@pytest.mark.parametrize("beside", [{"sequence": {"frames": 2}}, {"things": [THING]}])
+def test_clutter_that_is_asked_for_is_there_or_refused(beside: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=f"clutter is 3.*{next(iter(beside))}"):
+        SynthConfig.parse({"scene": {"clutter": 3} | beside})
+    for clutter in (0, 1):  # the latter is what configurations that are written out say
+        assert not SynthConfig.parse({"scene": {"clutter": clutter} | beside}).scene.lies_about
+
+
+def test_cars_without_places_have_nothing_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Own meshes: whatever parts and reach targets they lack, nothing fails; of one without a dashboard it is said."""
+    whole, far = build_cabin("sedan"), np.full(3, 100.0)
+    seated: Any = SimpleNamespace(placed=None)
+    found = {}
+    for name in ("whole", "dashboard", "floor"):
+        parts = tuple(part for part in whole.parts if name in ("whole", part.name))
+        cabin = whole if name == "whole" else dataclasses.replace(whole, parts=parts, reach_targets={})
+        cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+        lying = LyingAbout(10.0)
+        found[name] = {t.thing.kind for i in range(40) for t in lying.about(cast, [], seated, far, rng=clutter_rng(3, i))}
+    assert len(found["whole"]) >= 10
+    assert found["dashboard"] == {"ticket"}
+    assert not found["floor"]
+    bare = dataclasses.replace(whole, parts=tuple(part for part in whole.parts if part.name != "dashboard"))
+    monkeypatch.setattr(import_module("cabinpose.synth.preflight"), "open_cabin", lambda *_: bare)
+    changed = {"preset": "sedan", "name": "own", "w3_mm": 1500}
+    with pytest.warns(UserWarning, match="nothing lies about, as no part of it is called dashboard"):
+        preflight(SynthConfig.parse({"scene": {"cars": [changed], "clutter": 1.0}}), frames=1)

@@ -77,6 +77,14 @@ PLACES_OF_CLUTTER: Mapping[str, ClutterPlace] = {
     "hook_right": ClutterPlace(0.02, {"hung_jacket": 1.0}, seat="rear_right", held=True),
 }
 """By name, with how often something is there (assumed)."""
+DASHBOARD = "dashboard"
+"""The part without which nothing lies about in a car; meshes of a user's own may have none of that name."""
+_NEEDED: Mapping[str, tuple[str, ...]] = {  # parts and reach targets, of a place or of a telephone in its holder
+    **dict.fromkeys(("cup_holder_left", "cup_holder_right", "console"), ("centre console", "gear_lever")),
+    "dashboard": ("glovebox",), "phone_at_vent": ("vents",), "phone_on_dash": ("infotainment",),
+    "phone_on_screen": ("windscreen",), "shelf": ("parcel shelf",),
+    "hook_left": ("grab handles",), "hook_right": ("grab handles",),
+}  # fmt: skip
 
 
 class _Lying(NamedTuple):
@@ -173,16 +181,14 @@ def _put(cabin: Cabin, name: str, kind: str, variant: int, spot: int) -> _Lying 
 def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None:
     """(3,) m: the middle of a place, or of a telephone in a holder; above what carries it; None where a car has none."""
     targets, seats = cabin.reach_targets, cabin.seats
-    if "dashboard" not in parts or "driver" not in seats:
+    if "driver" not in seats or not {DASHBOARD, *_NEEDED.get(name, ())} <= {*parts, *targets}:
         return None
     driver = float(np.sign(seats["driver"].design_h_point[1]))
-    dash = parts["dashboard"].surface.vertices
+    dash = parts[DASHBOARD].surface.vertices
     high = dash.max(axis=0).astype(np.float64)
     match name:
         case "cup_holder_left" | "cup_holder_right" | "console":
             lever = targets["gear_lever"]
-            if "centre console" not in parts:
-                return None
             wide = float(np.abs(parts["centre console"].surface.vertices[:, 1]).max()) > _TWO_CUPS_M
             y = 0.0 if name == "console" or not wide else 0.043 if name == "cup_holder_left" else -0.043
             return np.array((lever[0] - (0.33 if name == "console" else 0.115), y, lever[2] + 0.2))
@@ -206,8 +212,6 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
             at_height = glass[np.abs(glass[:, 2] - height) < _BAND_M]
             return None if not len(at_height) else np.array((float(at_height[:, 0].min()) - 0.16, 0.20 * driver, height))
         case "shelf":
-            if "parcel shelf" not in parts:
-                return None
             shelf = parts["parcel shelf"].surface.vertices.astype(np.float64)
             return np.array(
                 (*(0.5 * (shelf.min(axis=0) + shelf.max(axis=0)))[:1], 0.3 * shelf[:, 1].max(), shelf[:, 2].max() + 0.1)
