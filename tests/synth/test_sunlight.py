@@ -192,3 +192,42 @@ def test_sequences_keep_their_sun() -> None:
 def test_only_cars_have_windows_and_only_physical_noise_ambient_light(other: str) -> None:
     with pytest.raises(ConfigError, match="sunlight"):
         SynthConfig.load(None, [other, "sunlight={}"])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "what"),
+    [
+        ("days", [0, 100], "days"), ("days", [1, 1000], "days"), ("hours", [-5, 18], "hours"), ("hours", [8, 80], "hours"),
+        ("hours", [18, 8], "begin at 18"),
+    ],
+)  # fmt: skip
+def test_days_and_hours_are_those_of_a_year_and_a_day(key: str, value: list[float], what: str) -> None:
+    with pytest.raises(ConfigError, match=what):
+        SynthConfig.parse({"sunlight": {key: value}})
+
+
+def test_days_go_over_the_end_of_the_year() -> None:
+    """November to January, at noon in the north: never higher than on the first and the last day, on both sides of the end."""
+    light = Sunlight(latitude_deg=48.0, days=(310, 20), hours=(12.0, 12.0))
+    found = [light.draw(5, index, None).elevation_deg for index in range(200)]
+    highest = max(sun_position(48.0, day, 12.0)[1] for day in (310, 20))
+    assert max(found) <= highest + 1e-9
+    assert min(found) == pytest.approx(sun_position(48.0, 355, 12.0)[1], abs=0.05)  # the solstice is among them
+    januaries = [sun_position(48.0, day, 12.0)[1] for day in range(1, 21)]
+    assert sum(any(abs(e - january) < 1e-9 for january in januaries) for e in found) > 20
+    assert len({round(e, 9) for e in found}) > 50
+
+
+def test_pictures_have_no_other_light_than_the_sun() -> None:
+    SynthConfig.parse({"sunlight": {}, "images": {}})
+    SynthConfig.parse({"images": {"light": "garage"}})
+    with pytest.raises(ConfigError, match=r"images\.light is garage") as refused:
+        SynthConfig.parse({"sunlight": {}, "images": {"light": "garage"}})
+    assert "leave out one" in (refused.value.hint or "")
+
+
+def test_a_camera_that_sees_nothing_receives_nothing() -> None:
+    surface, towards = box(), Sun(90.0, 30.0, True, 1.0).towards
+    nothing = Seen(np.zeros(0, int), np.zeros((0, 3)), np.zeros(3))
+    found = SunView(1, 850).received(surface, pane_transmission(surface, -5.0, GLASS, towards), nothing, towards)
+    assert found.shape == (0,)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,12 +13,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from cabinpose.core import ConfigError
 from cabinpose.scene import merge
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.labels import LABEL_ID
 from cabinpose.scene.things import CLUTTER, VARIANTS, make_thing
-from cabinpose.synth import FrameMaker, SynthConfig, exact_config
-from cabinpose.synth.clutter import CLEAR_M, PLACES_OF_CLUTTER, Lying
+from cabinpose.synth import FrameMaker, SynthConfig, exact_config, preflight
+from cabinpose.synth.clutter import CLEAR_M, PLACES_OF_CLUTTER, LyingAbout
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import clutter_rng, frame_rng
@@ -25,6 +28,7 @@ PLAIN: dict[str, Any] = {
     "cars": ["sedan", "suv", "city_car"],
     "occupancy": {"driver": 0.9, "front_passenger": 0.5, "rear_left": 0.3},
 }
+THING = {"kind": "cup", "variant": 0, "slot": "driver", "where": "lap", "vehicle_from_thing": np.eye(4).tolist()}
 
 
 def scenes(count: int, **scene: Any) -> list[Scene]:
@@ -92,7 +96,7 @@ def test_things_lie_on_what_carries_them(crowded: list[Scene]) -> None:
 
 def test_shares_are_those_of_the_table() -> None:
     """Chi-square of how often each place has something, in an empty car: no one is in the way."""
-    cabin, lying, frames = build_cabin("sedan"), Lying(1.0), 1200
+    cabin, lying, frames = build_cabin("sedan"), LyingAbout(1.0), 1200
     cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
     seated: Any = SimpleNamespace(placed=None)
     far = np.full(3, 100.0)
@@ -111,7 +115,7 @@ def test_shares_are_those_of_the_table() -> None:
         expected, variance = frames * sum(each), frames * sum(p * (1.0 - p) for p in each)
         square += (found[kind] - expected) ** 2 / variance
     assert square < 16.27  # 0.1 % of three degrees of freedom
-    twice = Lying(2.0)
+    twice = LyingAbout(2.0)
     more = sum(len(twice.about(cast, [], seated, far, rng=clutter_rng(3, index))) for index in range(300))
     less = sum(len(lying.about(cast, [], seated, far, rng=clutter_rng(3, index))) for index in range(300))
     assert 1.6 < more / less < 2.2
@@ -129,17 +133,39 @@ def test_people_are_the_same_with_and_without_and_frames_come_again() -> None:
             assert all((a.vertices == b.vertices).all() for a, b in zip(who.surfaces, other.surfaces, strict=True))
 
 
-def test_a_frame_written_out_comes_again_with_all_that_lies_about() -> None:
-    config = SynthConfig.parse({"scene": PLAIN | {"clutter": 10.0}})
-    frame, scene = FrameMaker(config, 0).make(2)
-    assert any(thing.at == "car" for thing in scene.things)
-    same, shown = FrameMaker(exact_config(config, 0, 2), 0).make(2)
-    assert [t.thing.kind for t in shown.things] == [t.thing.kind for t in scene.things]
-    assert (same["depth_clean"] == frame["depth_clean"]).all()
-    assert (same["labels"] == frame["labels"]).all()
-    things = {LABEL_ID[t.thing.label] for t in scene.things}
-    assert things & set(np.unique(frame["labels"]).tolist())
-    assert (frame["instance"][frame["labels"] >= LABEL_ID["infant_seat"]] == 0).all()
+def test_frames_written_out_come_again_with_all_that_lies_about() -> None:
+    """Frames until eight kinds lay about, as they are and as they are written out, to the last bit of depth and labels."""
+    config, seen = SynthConfig.parse({"scene": PLAIN | {"clutter": 10.0}}), set[str]()
+    maker = FrameMaker(config, 0)
+    for index in range(20):
+        frame, scene = maker.make(index)
+        about = {t.thing.kind for t in scene.things if t.at == "car"}
+        if about <= seen:
+            continue
+        seen |= about
+        same, shown = FrameMaker(exact_config(config, 0, index), 0, pictures=False).make(index)
+        assert [t.thing.kind for t in shown.things] == [t.thing.kind for t in scene.things]
+        assert (same["depth_clean"] == frame["depth_clean"]).all()
+        assert (same["labels"] == frame["labels"]).all()
+        things = {LABEL_ID[t.thing.label] for t in scene.things}
+        assert things & set(np.unique(frame["labels"]).tolist())
+        assert (frame["instance"][frame["labels"] >= LABEL_ID["infant_seat"]] == 0).all()
+        if len(seen) >= 8:
+            break
+    assert len(seen) >= 8
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "slot"),
+    [("keys", "lap", "driver"), ("hung_jacket", "seat", "rear_left"), ("blanket", "car", "")],
+)
+def test_what_lies_about_is_on_no_lap_and_cloth_does_not_lie_about(kind: str, where: str, slot: str) -> None:
+    thing = THING | {"kind": kind, "slot": slot, "where": where}
+    with pytest.raises(ConfigError, match=kind) as refused:
+        SynthConfig.parse({"scene": {"things": [thing]}})
+    assert "where: " in (refused.value.hint or "")
+    thing |= {"where": "lap", "slot": "driver"} if where == "car" else {"where": "car", "slot": ""}
+    assert SynthConfig.parse({"scene": {"things": [thing]}}).scene.brings_things
 
 
 def test_none_lies_about_in_sequences_and_where_nothing_is_asked_for() -> None:
@@ -147,3 +173,32 @@ def test_none_lies_about_in_sequences_and_where_nothing_is_asked_for() -> None:
     assert not SynthConfig.parse({"scene": {"clutter": 0}}).scene.brings_things
     assert SynthConfig.parse({}).scene.lies_about
     assert math.isclose(sum(place.share for place in PLACES_OF_CLUTTER.values()), 0.95)
+
+
+@pytest.mark.parametrize("beside", [{"sequence": {"frames": 2}}, {"things": [THING]}])
+def test_clutter_that_is_asked_for_is_there_or_refused(beside: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=f"clutter is 3.*{next(iter(beside))}"):
+        SynthConfig.parse({"scene": {"clutter": 3} | beside})
+    for clutter in (0, 1):  # the latter is what configurations that are written out say
+        assert not SynthConfig.parse({"scene": {"clutter": clutter} | beside}).scene.lies_about
+
+
+def test_cars_without_places_have_nothing_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Own meshes: whatever parts and reach targets they lack, nothing fails; of one without a dashboard it is said."""
+    whole, far = build_cabin("sedan"), np.full(3, 100.0)
+    seated: Any = SimpleNamespace(placed=None)
+    found = {}
+    for name in ("whole", "dashboard", "floor"):
+        parts = tuple(part for part in whole.parts if name in ("whole", part.name))
+        cabin = whole if name == "whole" else dataclasses.replace(whole, parts=parts, reach_targets={})
+        cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+        lying = LyingAbout(10.0)
+        found[name] = {t.thing.kind for i in range(40) for t in lying.about(cast, [], seated, far, rng=clutter_rng(3, i))}
+    assert len(found["whole"]) >= 10
+    assert found["dashboard"] == {"ticket"}
+    assert not found["floor"]
+    bare = dataclasses.replace(whole, parts=tuple(part for part in whole.parts if part.name != "dashboard"))
+    monkeypatch.setattr(import_module("cabinpose.synth.preflight"), "open_cabin", lambda *_: bare)
+    changed = {"preset": "sedan", "name": "own", "w3_mm": 1500}
+    with pytest.warns(UserWarning, match="nothing lies about, as no part of it is called dashboard"):
+        preflight(SynthConfig.parse({"scene": {"cars": [changed], "clutter": 1.0}}), frames=1)

@@ -111,8 +111,7 @@ class Casting:
         given = {slot: _exact_pose(exact[slot], scene.occupants[slot].action or "given") for slot in names if slot in exact}
         objects = draw_objects(scene.objects, cabin, tuple(names), child_seats, rng=rng) if not scene.things else {}
         soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if is_cloth(kind)}
-        brought = [thing for thing in scene.things if thing.where != "car"]
-        soft |= {thing.slot: (thing.kind, thing.variant) for thing in brought if is_cloth(thing.kind)}
+        soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if is_cloth(thing.kind)}
         hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
         return Cast(
             car, cabin, validator, names, people, settings, given, Brought(_in_use(child_seats, names), hard), soft, doing

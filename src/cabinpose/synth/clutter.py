@@ -20,6 +20,7 @@ from cabinpose.scene.contact import PlacedField
 from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, felt, make_thing, stands_free
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.once import cached_once
+from cabinpose.synth.streams import at_rank
 from cabinpose.synth.validate import Seated
 
 CLEAR_M = 0.05  # from the skin of anybody, who has clothes on: nothing is nearer
@@ -33,6 +34,7 @@ _IN_THE_AIR = ("phone_at_vent", "phone_on_screen")  # carried by what they are f
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
 _FLOOR_AHEAD_M = -0.06  # of the heels
 _LYING = axis_rotation("x", 0.5 * math.pi)
+_KEPT = 128  # places of things, which keep their cars: some frames' worth of them
 _SPOTS_M = (-0.03, 0.0, 0.03)  # beside the middle of a place
 
 
@@ -75,6 +77,14 @@ PLACES_OF_CLUTTER: Mapping[str, ClutterPlace] = {
     "hook_right": ClutterPlace(0.02, {"hung_jacket": 1.0}, seat="rear_right", held=True),
 }
 """By name, with how often something is there (assumed)."""
+DASHBOARD = "dashboard"
+"""The part without which nothing lies about in a car; meshes of a user's own may have none of that name."""
+_NEEDED: Mapping[str, tuple[str, ...]] = {  # parts and reach targets, of a place or of a telephone in its holder
+    **dict.fromkeys(("cup_holder_left", "cup_holder_right", "console"), ("centre console", "gear_lever")),
+    "dashboard": ("glovebox",), "phone_at_vent": ("vents",), "phone_on_dash": ("infotainment",),
+    "phone_on_screen": ("windscreen",), "shelf": ("parcel shelf",),
+    "hook_left": ("grab handles",), "hook_right": ("grab handles",),
+}  # fmt: skip
 
 
 class _Lying(NamedTuple):
@@ -91,7 +101,7 @@ class LyingAbout:
     def __init__(self, scale: float) -> None:
         """scale: of the shares of `PLACES_OF_CLUTTER`."""
         self._scale = scale
-        self._puts = cached_once(512)(_put)
+        self._puts = cached_once(_KEPT)(_put)
 
     def about(
         self, cast: Cast, bodies: Sequence[PosedBody], seated: Seated, eye: Floats, *, rng: np.random.Generator
@@ -102,17 +112,10 @@ class LyingAbout:
         for (name, place), (chance, which, variant, spot) in zip(PLACES_OF_CLUTTER.items(), draws.tolist(), strict=True):
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
-            found = self._puts(cast.cabin, name, _of_share(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
+            found = self._puts(cast.cabin, name, at_rank(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
             if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
                 result.append(found)
         return tuple(PlacedThing(one.thing, one.at, "", "car") for one in result)
-
-
-def _of_share(kinds: Mapping[str, float], rank: float) -> str:
-    """One of the kinds, by a rank of 0 to 1 over their shares."""
-    names = list(kinds)
-    bounds = np.cumsum([kinds[name] for name in names])
-    return names[min(int(np.searchsorted(bounds, rank * bounds[-1], side="right")), len(names) - 1)]
 
 
 def _free_seat(cast: Cast, slot: str) -> bool:
@@ -178,16 +181,14 @@ def _put(cabin: Cabin, name: str, kind: str, variant: int, spot: int) -> _Lying 
 def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None:
     """(3,) m: the middle of a place, or of a telephone in a holder; above what carries it; None where a car has none."""
     targets, seats = cabin.reach_targets, cabin.seats
-    if "dashboard" not in parts or "driver" not in seats:
+    if "driver" not in seats or not {DASHBOARD, *_NEEDED.get(name, ())} <= {*parts, *targets}:
         return None
     driver = float(np.sign(seats["driver"].design_h_point[1]))
-    dash = parts["dashboard"].surface.vertices
+    dash = parts[DASHBOARD].surface.vertices
     high = dash.max(axis=0).astype(np.float64)
     match name:
         case "cup_holder_left" | "cup_holder_right" | "console":
             lever = targets["gear_lever"]
-            if "centre console" not in parts:
-                return None
             wide = float(np.abs(parts["centre console"].surface.vertices[:, 1]).max()) > _TWO_CUPS_M
             y = 0.0 if name == "console" or not wide else 0.043 if name == "cup_holder_left" else -0.043
             return np.array((lever[0] - (0.33 if name == "console" else 0.115), y, lever[2] + 0.2))
@@ -211,8 +212,6 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
             at_height = glass[np.abs(glass[:, 2] - height) < _BAND_M]
             return None if not len(at_height) else np.array((float(at_height[:, 0].min()) - 0.16, 0.20 * driver, height))
         case "shelf":
-            if "parcel shelf" not in parts:
-                return None
             shelf = parts["parcel shelf"].surface.vertices.astype(np.float64)
             return np.array(
                 (*(0.5 * (shelf.min(axis=0) + shelf.max(axis=0)))[:1], 0.3 * shelf[:, 1].max(), shelf[:, 2].max() + 0.1)

@@ -151,7 +151,9 @@ class CabinScene(Model):
         description=f"By seat: {', '.join(ON_SEATS)}, any (of these), {', '.join(CLOTH)}, or how likely each is, on the seat or"
         " on the lap of whoever sits there.",
     )
-    clutter: float = Field(1.0, ge=0.0, le=10.0, description="How much lies about, not in sequences: 1 is usual, 0 nothing.")
+    clutter: float = Field(
+        1.0, ge=0.0, le=10.0, description="How much lies about, not in sequences nor beside `things`: 1 is usual, 0 nothing."
+    )
     in_hand: Probability = Field(
         0.0,
         exclude_if=operator.not_,
@@ -262,6 +264,12 @@ class CabinScene(Model):
             raise ConfigError("every seat's occupancy is 0", hint="give at least one seat a probability above 0")
         if self.sequence is not None and self._still:
             raise ConfigError(f"people in motion have no {self._still}", hint="leave it out, or leave out scene.sequence")
+        if self.clutter not in {0.0, CabinScene.model_fields["clutter"].default} and not self.lies_about:
+            other = "sequence" if self.sequence is not None else "things"
+            raise ConfigError(
+                f"clutter is {self.clutter:g}, and nothing lies about beside scene.{other}",
+                hint=f"leave out scene.clutter, or leave out scene.{other}",
+            )
         if self.sequence is not None and "hand_over" in (self.sequence.activities or ()) and not self.in_hand:
             raise ConfigError("nobody has anything in the hand to hand over", hint="give scene.in_hand, such as 1.0")
         for weights in self.motion.values():
@@ -340,7 +348,7 @@ class SynthConfig(Model):
                 hint="choose noise kind structured_light or empirical",
             )
         if self.sunlight is not None:
-            check_sunlight(self.scene.kind, self.noise.kind)
+            check_sunlight(self.scene.kind, self.noise.kind, self.images.light if self.images else "any")
         sequence = self.scene.sequence
         if sequence is None and sensor.temporal_median > 1:
             raise ConfigError(

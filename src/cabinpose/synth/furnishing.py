@@ -41,7 +41,7 @@ class Furnishing:
     def furnish(self, cast: Cast, *, rng: np.random.Generator) -> Cast | Blocked:
         """The cast with what stands on the seats, of which empty ones may be moved to make room."""
         if self._scene.things:
-            hard = (each for each in self._scene.things if each.where == "car" or not is_cloth(each.kind))
+            hard = (each for each in self._scene.things if not is_cloth(each.kind))
             return replace(cast, things=tuple(each.placed for each in hard))
         if not any(cast.brought) or cast.validator.contact is None:
             return cast

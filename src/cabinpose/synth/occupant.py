@@ -13,7 +13,7 @@ from cabinpose.core import OCCUPANT_SLOTS, ConfigError, is_rigid, unknown_name
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import Face, load_faces
 from cabinpose.scene.cabin import BeltWear
-from cabinpose.scene.things import CLUTTER, THINGS, Attachment, PlacedThing, make_thing
+from cabinpose.scene.things import Attachment, Cloth, Clutter, PlacedThing, make_thing, thing_kind
 from cabinpose.synth.people import Model, Probability
 from cabinpose.synth.posture import ACTIONS
 from cabinpose.synth.profiles import Profile, check_within, dof_scale, limits_deg, standing
@@ -105,8 +105,11 @@ class ExactThing(Model):
 
     @model_validator(mode="after")
     def _known(self) -> ExactThing:
-        if self.kind not in CLUTTER:
-            _ = THINGS[self.kind]  # ConfigError for one that does not exist, ExtensionError for one that cannot be loaded
+        kind = thing_kind(self.kind)  # ConfigError for one that does not exist, ExtensionError for one that cannot be loaded
+        if isinstance(kind, Clutter) and self.where != "car":
+            raise ConfigError(f"{self.kind} lies about and is on no {self.where}", hint="give it where: car, and no slot")
+        if isinstance(kind, Cloth) and self.where == "car":
+            raise ConfigError(f"{self.kind} is draped over seats and laps", hint="give it where: seat or lap, and a slot")
         if self.where != "car" and self.slot not in OCCUPANT_SLOTS:
             raise unknown_name("seat", self.slot, OCCUPANT_SLOTS)
         return self

@@ -18,6 +18,7 @@ from cabinpose.scene.cabin import SEATS_OF_ALL, VIEWS_OF_ALL, Cabin
 from cabinpose.scene.contact import ContactField
 from cabinpose.synth.cabins import car_dimensions, open_cabin
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
+from cabinpose.synth.clutter import DASHBOARD
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
 from cabinpose.synth.motion.activities import ACTIVITIES, activities_for
 from cabinpose.synth.people import People
@@ -83,6 +84,7 @@ def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> tuple[Pl
         _check_seats(scene, car)
         _check_actions(scene, car)
         _check_activities(scene, car)
+        _doubt_clutter(scene, car)
         _check_views(config, car)
         reports += _judged_views(config, car)
     if not reports and not isinstance(config.camera.sensor, str) and scene.cars:
@@ -233,6 +235,12 @@ def _check_activities(scene: CabinScene, car: _Car) -> None:
             f"{car.name}: {', '.join(asked)} makes no sense for anybody; the seats that are taken: {', '.join(taken)}",
             hint=f"there: {', '.join(name for name in ACTIVITIES if name in able)}",
         )
+
+
+def _doubt_clutter(scene: CabinScene, car: _Car) -> None:
+    """Warns of a car in which nothing can lie about where that is asked for."""
+    if "clutter" in scene.model_fields_set and scene.lies_about and all(part.name != DASHBOARD for part in car.cabin.parts):
+        warnings.warn(f"{Path(car.name).name}: nothing lies about, as no part of it is called {DASHBOARD}", stacklevel=3)
 
 
 def _check_views(config: SynthConfig, car: _Car) -> None:

@@ -13,19 +13,23 @@ from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from cabinpose.core import Bools, Camera, ConfigError, Floats, Floats32, Ints, apply
 from cabinpose.core import reproducible as rp
-from cabinpose.scene import GLAZING, MATERIAL_ID, MATERIALS, Surface, Wavelength
+from cabinpose.scene import GLAZING, MATERIAL_ID, Surface, Wavelength
 from cabinpose.scene.cabin import Cabin
+from cabinpose.scene.sensor import PANES
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.people import Model
 from cabinpose.synth.render import Rasteriser, RenderedFrame, normals_at
 from cabinpose.synth.scene import Scene
-from cabinpose.synth.streams import own_rng, sun_rng
+from cabinpose.synth.streams import at_rank, own_rng, sun_rng
 
 _Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+_Day = Annotated[int, Field(ge=1, le=366)]
+_Hour = Annotated[float, Field(ge=0.0, le=24.0)]
+_YEAR = 365  # days, after which the sun stands where it stood
 _TILT_DEG = 23.45  # of the Earth's axis
 _AIR_MASS = 1.5  # of ASTM G173-03, to which `strength` refers
 # Light of a clear sky on the ground, of the direct one at that air mass: G173's 0.894 global and 0.829 direct at 37 degrees.
@@ -38,15 +42,17 @@ _AWAY = 100.0  # radii of what the camera sees
 _BIAS_M = 0.012  # surfaces nearer to each other do not shade each other
 _LEAST_COSINE = 0.15  # of a surface for which the slope within a cell is allowed
 _BEHIND_M, _STEEP = 0.2, 0.35  # a pane this far behind the front H-points is a rear one; a windscreen's normal has so much of x
-_SEEN_THROUGH = np.isin(np.arange(256), [material.id for material in MATERIALS if material.transmissive])
 
 
 class Sunlight(Model):
     """Sun and sky over the car: by place and time, or in a direction that is given."""
 
     latitude_deg: float = Field(48.0, ge=-90.0, le=90.0, description="Where the car is (degrees north).")
-    days: tuple[int, int] = Field((1, 365), description="First and last day of the year; drawn for each frame.")
-    hours: tuple[float, float] = Field((8.0, 18.0), description="First and last hour of solar time; drawn for each frame.")
+    days: tuple[_Day, _Day] = Field(
+        (1, 365),
+        description="First and last day of the year, over its end where the last is the lesser; drawn for each frame.",
+    )
+    hours: tuple[_Hour, _Hour] = Field((8.0, 18.0), description="First and last hour of solar time; drawn for each frame.")
     heading_deg: _Degrees | None = Field(None, description="Where the car points (degrees east of north); none: anywhere.")
     towards_deg: tuple[_Degrees, Annotated[float, Field(ge=-90.0, le=90.0)]] | None = Field(
         None, description="In place of all that: the sun's direction, degrees to the left of ahead and above the horizon."
@@ -61,10 +67,21 @@ class Sunlight(Model):
         " W/m2/nm through a filter of 35 nm beside 1 W/m2.",
     )
 
+    @model_validator(mode="after")
+    def _in_order(self) -> Sunlight:
+        first, last = self.hours
+        if first > last:
+            raise ConfigError(
+                f"sunlight.hours begin at {first:g} and end at {last:g}",
+                hint="give the earlier hour first; a night is two ranges, in two datasets",
+            )
+        return self
+
     def draw(self, seed: int, index: int, sequence: SequenceConfig | None) -> Sun:
         """The sun of frame `index` of a dataset, the same in all of its sequence."""
         rng = sun_rng(seed, index if sequence is None else index // sequence.frames * sequence.frames)
-        day = int(rng.integers(self.days[0], self.days[1] + 1))
+        first, last = self.days
+        day = int(rng.integers(first, last + 1 + (_YEAR if last < first else 0)))
         hour, heading, clouds = rng.uniform(*self.hours), rng.uniform(0.0, 360.0), rng.random()
         if self.towards_deg is not None:
             left, elevation = self.towards_deg
@@ -79,18 +96,29 @@ class Sunlight(Model):
         return self.model_copy(update={"towards_deg": (sun.left_deg, sun.elevation_deg), "clear": float(sun.clear)})
 
 
-def check_sunlight(scene: str, noise: str) -> None:
-    """Raises ConfigError where kinds of scene and noise have no windows, or no light that is not the camera's own."""
+def check_sunlight(scene: str, noise: str, light: str) -> None:
+    """Raises ConfigError where kinds of scene and noise have no windows, or no light that is not the camera's own.
+
+    light: of pictures, which have that of the sun.
+    """
     if scene != "cabin" or noise != "physical":
         raise ConfigError(
             f"sunlight falls through the windows of cars on physical noise, and here are scenes of kind {scene}, noise {noise}",
             hint="leave sunlight out, or choose scene kind cabin and noise kind physical",
         )
+    if light != "any":
+        raise ConfigError(
+            f"images.light is {light}, and sunlight says what lights the pictures as well",
+            hint="leave out one of the two; sunlight.hours or sunlight.towards_deg make day and night",
+        )
 
 
 def sun_position(latitude_deg: float, day: float, hour: float) -> tuple[float, float]:
-    """Azimuth (degrees east of north) and elevation (degrees) of the sun at a day of the year and an hour of solar time."""
-    declination = np.radians(_TILT_DEG) * rp.sin(2 * np.pi * (284 + day) / 365)
+    """Azimuth (degrees east of north) and elevation (degrees) of the sun at a day of the year and an hour of solar time.
+
+    day: 1 is the first of January, 366 that of the next.
+    """
+    declination = np.radians(_TILT_DEG) * rp.sin(2 * np.pi * (284 + day) / _YEAR)
     turn, latitude = np.radians(15.0 * (hour - 12.0)), np.radians(latitude_deg)
     east = -rp.cos(declination) * rp.sin(turn)
     north = rp.sin(declination) * rp.cos(latitude) - rp.cos(declination) * rp.sin(latitude) * rp.cos(turn)
@@ -172,6 +200,8 @@ class SunView:
 
         passed: (F,) the share that each triangle lets through, 0 of what is no pane · towards: (3,) unit, to the sun.
         """
+        if not len(seen.points):
+            return np.zeros(0, np.float32)
         centre = (seen.points.min(axis=0) + seen.points.max(axis=0)) / 2
         radius = float(np.linalg.norm(seen.points - centre, axis=1).max())
         sun_from_world = _looking_down(towards, centre, radius * _AWAY)
@@ -183,7 +213,7 @@ class SunView:
         lit = np.flatnonzero((pane >= 0) & (panes.depth_clean[row, column] < local[:, 2]))
         facing = rp.matmul(normals_at(surface, seen.face[lit], seen.points[lit], seen.points[lit] - seen.eye), towards)
         lit, facing = lit[facing > 0], facing[facing > 0]
-        opaque = self._rasteriser.render(_part(surface, ~_SEEN_THROUGH[surface.material]), sun_from_world).depth_clean
+        opaque = self._rasteriser.render(_part(surface, ~PANES[surface.material]), sun_from_world).depth_clean
         slope = 2.0 * radius / _CELLS * np.sqrt(2.0) / np.maximum(facing, _LEAST_COSINE)
         share = _in_front_share(opaque, uv[lit], local[lit, 2] - _BIAS_M - slope)
         received = np.zeros(len(local), np.float32)
@@ -195,8 +225,7 @@ class SunView:
         rng, found = own_rng(self._seed, f"glazing of {car}"), {}
         for place, kinds in GLAZING.items():
             u, rank = rng.random(2).tolist()
-            bounds = np.cumsum([kind.share for kind in kinds])
-            kind = kinds[min(int(np.searchsorted(bounds, u * bounds[-1], side="right")), len(kinds) - 1)]
+            kind = at_rank({kind: kind.share for kind in kinds}, u)
             low, high = kind.at_850 if self._wavelength == 850 else kind.at_940
             found[place] = low + rank * (high - low)
         return found

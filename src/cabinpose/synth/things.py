@@ -15,7 +15,6 @@ from cabinpose.scene.cabin import Cabin, SeatSetting
 from cabinpose.scene.contact import ContactField, PlacedField, PosedSolids
 from cabinpose.scene.things import (
     CHILD_SEATS,
-    CLUTTER,
     LEANING,
     NOTHING_PLACED,
     OBJECTS,
@@ -36,6 +35,7 @@ from cabinpose.scene.things import (
     make_thing,
     stand_on_seat,
     stands_free,
+    thing_kind,
 )
 from cabinpose.synth.once import cached_once
 from cabinpose.synth.people import Probability
@@ -122,13 +122,12 @@ def check_loose(loose: Mapping[str, Choice], taken: Sequence[str]) -> None:
 
 def is_cloth(kind: str) -> bool:
     """Whether a kind is draped over seats and laps."""
-    return isinstance(THINGS[kind], Cloth)
+    return isinstance(thing_kind(kind), Cloth)
 
 
 def cloth_labels_of(kinds: Iterable[str]) -> frozenset[str]:
     """The classes of cloth and of what hangs, of some kinds."""
-    labels = {CLUTTER[kind].label if kind in CLUTTER else THINGS[kind].label for kind in kinds}
-    return CLOTH_LABELS & labels
+    return CLOTH_LABELS & {thing_kind(kind).label for kind in kinds}
 
 
 def check_shares(where: str, weights: Mapping[Name, float]) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from cabinpose.scene.sensor import Sensor
-    from cabinpose.synth import PlaceReport, SynthConfig
+    from cabinpose.synth import CabinScene, PlaceReport, RoomScene, SynthConfig
 
 _TRIED_FRAMES = 3  # scenes that `config check` draws
 _NewFile = Annotated[Positional[Path | None], several("FILE")]
@@ -156,8 +156,14 @@ def _check(command: ConfigCheck, config: SynthConfig) -> None:
         *((f"view {p.view}", f"{Path(p.car).name}: {100 * p.valid:.0f} % of the pixels valid, {_seats(p)}") for p in places),
         ("people", ", ".join(f"{count} {kind}" for count, kind in kinds if count)),
         ("noise", config.noise.kind),
+        *([("clutter", "nothing lies about in sequences, nor beside scene.things")] if _left_tidy(scene) else ()),
     ]
     print_rows(rows)
+
+
+def _left_tidy(scene: CabinScene | RoomScene) -> bool:
+    """Whether something would lie about in cars, but for what else is asked for."""
+    return scene.kind == "cabin" and scene.clutter > 0.0 and not scene.lies_about
 
 
 def _views(command: ConfigViews) -> None:

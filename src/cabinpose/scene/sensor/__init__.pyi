@@ -12,6 +12,7 @@ from .noise_fit import PhysicalFit as PhysicalFit
 from .noise_fit import check_distances as check_distances
 from .noise_fit import fit_empirical as fit_empirical
 from .noise_fit import fit_physical as fit_physical
+from .optics import PANES as PANES
 from .optics import lens_maps as lens_maps
 from .optics import material_table as material_table
 from .physical import NO_EFFECTS as NO_EFFECTS

@@ -27,6 +27,7 @@ _PANE_NARROWNESS = float(1.0 / (1.0 - rp.cos(np.radians(2.0))))
 # Light that a surface sends back at once where it faces the source: of an index of 1.5, of skin's 1.4 and of chromium.
 _FRESNEL, _FRESNEL_OF = 0.04, MappingProxyType({"skin": 0.028, "metal": 0.64})
 PANES = np.isin(np.arange(256), [material.id for material in MATERIALS if material.transmissive])
+"""(256,) whether a material is seen through, by id."""
 _BY_ID = MappingProxyType({material.id: material for material in MATERIALS})
 # Mean reflectance of what lies outside a window, seen by daylight alone.
 _OUTSIDE_REFLECTANCE = 0.3

@@ -5,6 +5,8 @@ from .child_seats import ChildSeat as ChildSeat
 from .child_seats import Lying as Lying
 from .child_seats import Sitting as Sitting
 from .clutter import CLUTTER as CLUTTER
+from .clutter import Clutter as Clutter
+from .clutter import thing_kind as thing_kind
 from .objects import CLOTH_M as CLOTH_M
 from .objects import OBJECTS as OBJECTS
 from .objects import Cloth as Cloth

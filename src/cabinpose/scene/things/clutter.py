@@ -15,7 +15,7 @@ import numpy as np
 from cabinpose.core import Floats
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.shapes import join, rounded_box, slab, smoothstep, tube
-from cabinpose.scene.things.pieces import Piece, of_design, standing_box
+from cabinpose.scene.things.pieces import THINGS, Kind, Piece, of_design, standing_box
 
 
 class Clutter(NamedTuple):
@@ -154,3 +154,8 @@ CLUTTER: Mapping[str, Clutter] = MappingProxyType(
     }
 )
 """What lies about and is brought by nobody, by name; bottles, cups, bags and books are as in `OBJECTS`."""
+
+
+def thing_kind(name: str) -> Kind | Clutter:
+    """All that is known of a kind of thing, brought or lying about. Raises ConfigError for one that does not exist."""
+    return CLUTTER.get(name) or THINGS[name]

@@ -16,9 +16,9 @@ from cabinpose.scene.contact.field import FINE_STEP_M, STEP_M, GroupField, balls
 from cabinpose.scene.contact.triangles import sampled_surface
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.scene.things.child_seats import CHILD_SEAT_LABELS, CHILD_SEATS, ChildSeat, Lying, Sitting
-from cabinpose.scene.things.clutter import CLUTTER
+from cabinpose.scene.things.clutter import thing_kind
 from cabinpose.scene.things.objects import OBJECTS
-from cabinpose.scene.things.pieces import THINGS, Piece
+from cabinpose.scene.things.pieces import Piece
 
 VARIANTS = 4  # designs of each kind, of different sizes
 _POINTS_A_SIDE = 14  # by which a thing feels what is around it, along its longest side
@@ -92,9 +92,7 @@ class Thing:
 def make_thing(kind: str, variant: int) -> Thing:
     """The design of this number of a kind of thing; the same object on every call. Raises ConfigError for an unknown kind."""
     design = variant % VARIANTS
-    if kind in CLUTTER:
-        return Thing(kind, design, CLUTTER[kind].label, CLUTTER[kind].make(design))
-    row = THINGS[kind]
+    row = thing_kind(kind)
     if row.make is None:
         raise unknown_name("thing", kind, [name for name, each in {**CHILD_SEATS, **OBJECTS}.items() if each.make is not None])
     sitting = row.sitting(design) if isinstance(row, ChildSeat) and row.sitting is not None else None

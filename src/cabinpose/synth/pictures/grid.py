@@ -13,11 +13,11 @@ import numpy as np
 
 from cabinpose.core import Bools, Camera, Floats, Floats32, Ints, Matrix, invert
 from cabinpose.core import reproducible as rp
-from cabinpose.scene import MATERIALS, Surface
+from cabinpose.scene import Surface
+from cabinpose.scene.sensor import PANES
 from cabinpose.synth.render import Rasteriser, normals_at
 
 FINER = 2  # samples of the grid along a pixel's side, where the lens magnifies most
-_SEEN_THROUGH = np.isin(np.arange(256), [m.id for m in MATERIALS if m.transmissive])
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def grid_of(camera: Camera) -> Grid:
 
 def without_panes(surface: Surface) -> Bools:
     """(F,) the triangles that pictures show: all but panes and lenses, through which light passes as if they were not there."""
-    return np.asarray(~_SEEN_THROUGH[surface.material])
+    return np.asarray(~PANES[surface.material])
 
 
 @dataclass(frozen=True)
