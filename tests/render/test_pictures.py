@@ -24,6 +24,7 @@ from cabinpose.scene.sensor import SENSORS, material_table
 from cabinpose.scene.surface import Surface, merge
 from cabinpose.store import open_dataset
 from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.frame_maker import FrameMaker
 from cabinpose.synth.generate import generate
 from cabinpose.synth.person_look import look_of
 from cabinpose.synth.pictures.denoise import denoised
@@ -220,7 +221,8 @@ def test_near_infrared_counts_the_electrons_of_the_sensor_model(renderer: Any, r
     scene = Scene(wall, (), look_at((0, 0, 0), (1, 0, 0)), "somewhere", "view")
     maker = PictureMaker(Images(variables=("nir",), renderer=renderer, samples=16, light="night"), SMALL, 0)
     cotton = MATERIALS[MATERIAL_ID["cotton"]].reflectance
-    taken = maker.take(scene, wall, np.full((len(wall.faces), 3), cotton, np.float32), rng=np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    taken = maker.take(scene, wall, np.full((len(wall.faces), 3), cotton, np.float32), rng=rng, lit=rng)
     assert set(taken) == {"nir", "light", "renderer"}
     assert taken["nir"].dtype == np.uint16
     r = SMALL.camera.range_over_depth
@@ -411,3 +413,15 @@ def test_path_tracing_without_mitsuba_stops_before_it_starts(
 def test_what_cannot_be_is_refused(images: dict[str, Any]) -> None:
     with pytest.raises(ConfigError):
         SynthConfig.parse({"images": images})
+
+
+def test_a_sequence_is_in_one_light() -> None:
+    scene = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "sequence": {"frames": 2, "rate_hz": 10, "activities": ["rest_lap"]}}
+    config = SynthConfig.parse({"scene": scene, "images": {"variables": ["rgb"], "renderer": "raster", "light": "day"}})
+    maker = FrameMaker(config, 5)
+    (first, _), (second, _), (third, _) = (maker.make(index) for index in range(3))
+    assert first["light"] == second["light"]
+    assert first["light"] != third["light"]
+    outside = np.isnan(first["depth_clean"]) & np.isnan(second["depth_clean"])
+    assert outside.any()
+    assert np.abs(first["rgb"][outside].astype(int) - second["rgb"][outside]).mean() < 8  # but for the exposure

@@ -19,7 +19,7 @@ from cabinpose.synth.reflectances import Reflectances
 from cabinpose.synth.render import Rasteriser
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
-from cabinpose.synth.streams import frame_rng, noise_rng
+from cabinpose.synth.streams import frame_rng, light_rng, noise_rng
 from cabinpose.synth.sunlight import SunView
 from cabinpose.synth.variables import TABLE, Frame, FrameFacts
 
@@ -89,8 +89,11 @@ class FrameMaker:
 
     def _filtered_over(self, index: int) -> range:
         """The frames whose median depth the camera delivers as that of a frame: the last ones of its sequence."""
-        first = index if self._sequence is None else index // self._sequence.frames * self._sequence.frames
-        return range(max(index - self._sensor.temporal_median + 1, first), index + 1)
+        return range(max(index - self._sensor.temporal_median + 1, self._first(index)), index + 1)
+
+    def _first(self, index: int) -> int:
+        """The frame with which the sequence of a frame begins; itself where there are none."""
+        return index if self._sequence is None else index // self._sequence.frames * self._sequence.frames
 
     def _make_alone(self, index: int) -> tuple[Frame, Scene]:
         """A frame as it is before a filter over time."""
@@ -104,7 +107,7 @@ class FrameMaker:
         """A scene as the camera delivers it: every variable of the dataset standard.
 
         exposures: what there is to see at each of the sensor's samples, where people move in between · index: the frame whose sun
-        there is.
+        and light there are.
         """
         with self.stage("render"):
             views = {id(moment): self._view(moment) for moment in {id(m): m for m in exposures if m is not scene}.values()}
@@ -132,7 +135,8 @@ class FrameMaker:
         if self._pictures is not None:
             with self.stage("pictures"):
                 table = material_table(True, False, 0.0, 0.0, self._sensor.wavelength_nm, found.coats)
-                pictures = self._pictures.take(scene, surface, near_infrared(found.surface, table), rng=rng, sun=sun)
+                lit = light_rng(self._seed, self._first(index))
+                pictures = self._pictures.take(scene, surface, near_infrared(found.surface, table), rng=rng, lit=lit, sun=sun)
         styled: Mapping[str, Any] = {}
         if self._styler is not None:
             with self.stage("style"):

@@ -65,6 +65,11 @@ def sun_rng(seed: int, frame_index: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 5)))
 
 
+def light_rng(seed: int, frame_index: int) -> np.random.Generator:
+    """The generator of what lights the pictures of a frame, or of the sequence that begins with it."""
+    return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 7)))
+
+
 def clutter_rng(seed: int, frame_index: int) -> np.random.Generator:
     """The generator of what lies about in a frame: the key of its scene with a counter that nothing else of it reaches."""
     return np.random.Generator(np.random.Philox(key=np.array((seed, frame_index), dtype=np.uint64), counter=(0, 0, 0, 6)))

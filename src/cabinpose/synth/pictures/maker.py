@@ -47,8 +47,9 @@ class PictureMaker:
         self._colours: dict[str, Floats32] = {}
 
     def take(
-        self, scene: Scene, surface: Surface, reflectance: Floats32, *, rng: np.random.Generator, sun: Sun | None = None
-    ) -> dict[str, Any]:
+        self, scene: Scene, surface: Surface, reflectance: Floats32, *, rng: np.random.Generator, lit: np.random.Generator,
+        sun: Sun | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
         """The variables `rgb` (H, W, 3) and `nir` (H, W) that are asked for, and what made them.
 
         Parameters
@@ -60,16 +61,18 @@ class PictureMaker:
         reflectance
             (F, 3) of it, diffuse, in near infrared.
         rng
-            Draws the light and the paths.
+            Draws the paths and the noise.
+        lit
+            Draws the light.
         sun
             That which the depth camera has, by day.
         """
-        drawn = _KINDS[int(rng.choice(len(_KINDS), p=_COMMON))]
+        drawn = _KINDS[int(lit.choice(len(_KINDS), p=_COMMON))]
         if sun is not None:
             drawn = "day" if sun.elevation_deg > 0 else "night"
         elif self._images.light != "any":
             drawn = self._images.light
-        light = draw_light(drawn, _glow(scene), rng=rng, sun=sun)
+        light = draw_light(drawn, _glow(scene), rng=lit, sun=sun)
         if scene.cabin is None:
             light = replace(light, lamps=_ROOM_LAMPS)
         seeds = rng.integers(0, 2**32, 2).tolist()
