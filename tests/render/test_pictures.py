@@ -416,9 +416,10 @@ def test_what_cannot_be_is_refused(images: dict[str, Any]) -> None:
 
 
 def test_a_sequence_is_in_one_light() -> None:
-    scene = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "sequence": {"frames": 2, "rate_hz": 10, "activities": ["rest_lap"]}}
+    sequence = {"frames": 2, "rate_hz": 10, "activities": ["rest_lap"]}
+    scene = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "sequence": sequence}
     config = SynthConfig.parse({"scene": scene, "images": {"variables": ["rgb"], "renderer": "raster", "light": "day"}})
-    maker = FrameMaker(config, 5)
+    maker = FrameMaker(config, 2)
     (first, _), (second, _), (third, _) = (maker.make(index) for index in range(3))
     assert first["light"] == second["light"]
     assert first["light"] != third["light"]
