@@ -423,6 +423,3 @@ def test_a_sequence_is_in_one_light() -> None:
     (first, _), (second, _), (third, _) = (maker.make(index) for index in range(3))
     assert first["light"] == second["light"]
     assert first["light"] != third["light"]
-    outside = np.isnan(first["depth_clean"]) & np.isnan(second["depth_clean"])
-    assert outside.any()
-    assert np.abs(first["rgb"][outside].astype(int) - second["rgb"][outside]).mean() < 8  # but for the exposure

@@ -16,6 +16,9 @@ from cabinpose.synth.people import People
 from cabinpose.synth.preflight import available_memory, preflight
 from cabinpose.synth.streams import frame_rng
 
+SET = {"fore_aft_m": 0.0, "height_m": 0.0, "torso_angle_rad": 0.4}
+POSE = SET | {"vehicle_from_root": np.eye(4).tolist(), "angles_rad": {}, "tongue": {"at_m": [0.0, 0.0, 0.0], "how": "loose"}}
+
 
 def refused(data: object) -> ConfigError:
     with pytest.raises(ConfigError) as caught:
@@ -96,6 +99,10 @@ def test_unknown_key_names_its_path_and_close_matches() -> None:
         ({"scene": {"kind": "cabin", "occupancy": {"roof": 1.0}}}, "roof"),
         ({"scene": {"kind": "cabin", "occupancy": {"driver": 0.0}}}, "occupancy"),
         ({"scene": {"kind": "cabin", "motion": {"driver": {"moonwalk": 1.0}}}}, "moonwalk"),
+        ({"scene": {"kind": "cabin", "seats": {"roof": SET}}}, "roof"),
+        ({"scene": {"kind": "cabin", "seats": {"driver": SET}, "occupants": {"driver": {"pose": POSE}}}}, "scene.seats"),
+        ({"scene": {"kind": "cabin", "occupants": {"driver": {"belted": True, "pose": POSE}}}}, "tongue"),
+        ({"scene": {"kind": "cabin", "occupants": {"driver": {"belt": "under_arm", "pose": POSE}}}}, "tongue"),
         ({"scene": {"kind": "boat"}}, "boat"),
         ({"noise": {"kind": "perlin"}}, "perlin"),
         ({"limits": {"poses_per_person": 0}}, "poses_per_person"),

@@ -13,8 +13,10 @@ import yaml
 import cabinpose
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.scene.body import DOF_INDEX, BodyModel, Phenotype
+from cabinpose.scene.cabin import SeatSetting
 from cabinpose.synth.config import SynthConfig
-from cabinpose.synth.exact import exact_config
+from cabinpose.synth.exact import exact_config, exact_scene, without_defaults
+from cabinpose.synth.frame_maker import FrameMaker
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
@@ -180,6 +182,80 @@ def test_a_scene_written_out_gives_the_same_bytes(tmp_path: Path) -> None:
         assert not np.array_equal(one["depth"], noisy["depth"], equal_nan=True)
         met.update([one["car"], *filter(None, one["subject"])])
     assert {"C0000", "anna"} <= set(met)
+
+
+def _written_out(made: FrameMaker, index: int) -> tuple[set[str], dict[str, Any]]:
+    """The variables that a frame has in other bytes once it is written out and made again, and the scene that is written."""
+    one, scene = made.make(index)
+    told = yaml.safe_load(yaml.safe_dump(without_defaults(exact_scene(made.config, scene))))
+    same, _ = FrameMaker(SynthConfig.parse(told), SEED).make(index)
+    return {name for name in one if not _equal(one[name], same[name])}, told["scene"]
+
+
+@pytest.mark.parametrize(
+    ("scene", "frames", "moved"),
+    [
+        ({"cars": ["sedan", "city_car"], "occupancy": {"driver": 1, "rear_right": 1}}, range(4), {0, 2}),
+        ({"child_seats": {"rear_right": "toddler"}, "children": 1.0}, range(3), {0, 1, 2}),
+        ({"child_seats": {"rear_right": "infant"}}, range(2), {0, 1}),
+    ],
+)
+def test_empty_seats_stay_where_legs_and_child_seats_had_them(scene: dict[str, Any], frames: range, moved: set[int]) -> None:
+    """Knees behind it, a child and an infant carrier move the empty seat of the front passenger."""
+    maker = FrameMaker(config({"cars": ["city_car"], "occupancy": {"driver": 1.0}} | scene), SEED)
+    made = {index: _written_out(maker, index) for index in frames}
+    assert {index: others for index, (others, _) in made.items() if others} == {}
+    assert {index for index, (_, told) in made.items() if "front_passenger" in told.get("seats", {})} == moved
+
+
+def test_a_belt_that_hangs_or_is_drawn_is_written_out() -> None:
+    """Frames while somebody buckles up: all bytes but the time since the sequence's start."""
+    sequence = {"frames": 60, "rate_hz": 7.0, "activities": ["buckle_up"]}
+    maker = FrameMaker(config({"occupancy": {"front_passenger": 1.0}, "sequence": sequence}, people={"subjects": ["S04"]}), SEED)
+    buckling = maker.sampler.plan_sequence(0).tracks["front_passenger"].buckling
+    assert buckling is not None
+    _, grasp_s, plug_s = buckling
+    for time_s, how in (
+        (0.2, "loose"), (grasp_s - 0.2, "loose"), (grasp_s + 0.2, "drawn"), (plug_s - 0.2, "drawn"), (plug_s + 0.2, "worn"),
+    ):  # fmt: skip
+        others, told = _written_out(maker, round(7.0 * time_s))
+        who = told["occupants"]["front_passenger"]
+        assert others == {"sync_ns"}
+        assert who["belted"] == (how == "worn")
+        assert who["pose"].get("tongue", {"how": "worn"})["how"] == how
+
+
+_GIVEN = {"driver": (0.01, 0.02, 0.41), "front_passenger": (-0.02, 0.0, 0.36), "rear_center": (0.0, 0.0, 0.4)}
+_SEATS = {slot: dict(zip(("fore_aft_m", "height_m", "torso_angle_rad"), at, strict=True)) for slot, at in _GIVEN.items()}
+
+
+@pytest.mark.parametrize(
+    "behind",
+    [{"occupancy": {"driver": 1.0, "rear_right": 1.0}}, {"child_seats": {"rear_right": "toddler"}, "children": 1.0}],
+    ids=["grown-up", "child"],
+)
+def test_a_seat_that_is_given_stays(behind: dict[str, Any]) -> None:
+    """An empty one and one that somebody takes, with knees behind; this car has no seat in the middle."""
+    of = {"cars": ["city_car"], "occupancy": {"driver": 1.0}} | behind
+    free, kept = scenes(config(of), range(3)), scenes(config(of | {"seats": _SEATS}), range(3))
+    assert any(scene.settings["front_passenger"].fore_aft_m > 0.0 for scene in free)
+    for scene in kept:
+        assert [scene.settings[slot] for slot in ("driver", "front_passenger")] == [
+            SeatSetting(*_GIVEN[slot]) for slot in ("driver", "front_passenger")
+        ]
+
+
+def test_a_seat_that_is_given_makes_no_room_for_a_carrier() -> None:
+    of = {"cars": ["city_car"], "occupancy": {"driver": 1.0}, "child_seats": {"rear_right": "infant"}}
+    assert all(scene.settings["front_passenger"].fore_aft_m > 0.0 for scene in scenes(config(of), range(2)))
+    with pytest.raises(SceneError, match=r"rear_right: infant in front_passenger backrest"):
+        scenes(config(of | {"seats": _SEATS}, limits={"scenes_per_frame": 3}), range(1))
+
+
+def test_a_seat_is_given_within_its_range() -> None:
+    seats = {"front_passenger": {"fore_aft_m": 0.9, "height_m": 0.0, "torso_angle_rad": 0.4}}
+    with pytest.raises(ConfigError, match=r"seat front_passenger: fore_aft_m = 0\.9 is outside"):
+        scenes(config({"seats": seats}), range(1))
 
 
 def _equal(a: Any, b: Any) -> bool:

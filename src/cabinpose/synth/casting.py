@@ -19,7 +19,7 @@ from cabinpose.synth.plan import Plan
 from cabinpose.synth.posture import FREE_POSES, WITHOUT_SEAT, choose_setting, with_leg_room
 from cabinpose.synth.posture.neighbours import close_seats, half_breadth
 from cabinpose.synth.posture.sampling import OccupantPose
-from cabinpose.synth.scene import ScenePerson
+from cabinpose.synth.scene import ScenePerson, Tongue
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.things import (
     Brought,
@@ -44,7 +44,7 @@ class Cast:
 
     names, people: by slot · settings: of all seats · given: poses that are not solved · brought: kinds of child seats and objects
     by slot · soft: kind and design of what is draped over seats and laps, by slot · doing: what children without a seat do, by
-    slot · things: what stands on the seats, once they are furnished.
+    slot · things: what stands on the seats, once they are furnished · tongues: of the belts of who buckles up in a given pose.
     """
 
     car: str
@@ -58,6 +58,7 @@ class Cast:
     soft: Mapping[str, tuple[str, int]]
     doing: Mapping[str, str] = field(default_factory=dict)
     things: tuple[PlacedThing, ...] = ()
+    tongues: Mapping[str, Tongue] = field(default_factory=dict)
 
     @cached_property
     def child_seats(self) -> Mapping[str, PlacedThing]:
@@ -66,7 +67,7 @@ class Cast:
 
     def person(self, slot: str, action: str, body: PosedBody) -> ScenePerson:
         """Whoever sits in a slot, posed and not yet dressed."""
-        return ScenePerson(slot, self.names[slot], action, self.people[slot], body)
+        return ScenePerson(slot, self.names[slot], action, self.people[slot], body, tongue=self.tongues.get(slot))
 
     def __str__(self) -> str:
         return f"{place_name(self.car)} ({', '.join(f'{name} as {slot}' for slot, name in self.names.items())})"
@@ -90,18 +91,21 @@ class Casting:
         names = self._who(cabin, index, child_seats, children, rng)
         people = {slot: self._plan.subjects.person(name, self._outfit(index, slot, name)) for slot, name in names.items()}
         exact = {slot: o.pose for slot, o in scene.occupants.items() if o.pose is not None}
+        stays = {slot: seat.setting for slot, seat in {**scene.seats, **exact}.items() if slot in cabin.seats}
+        for slot in (slot for slot in scene.seats if slot in stays):
+            cabin.seats[slot].check(stays[slot])
         settings = {
-            slot: _exact_setting(exact[slot])
-            if slot in exact
+            slot: stays[slot]
+            if slot in stays
             else choose_setting(people[slot], seat, cabin, rng=rng, variation=scene.seat_variation)
             if slot in people and slot not in child_seats
             else seat.default
             for slot, seat in cabin.seats.items()
         }
         seated = {slot: person for slot, person in people.items() if slot not in {**child_seats, **doing, **exact}}
-        settings |= {slot: v for slot, v in with_leg_room(settings, seated, cabin).items() if slot not in exact}
+        settings |= {slot: v for slot, v in with_leg_room(settings, seated, cabin).items() if slot not in stays}
         for slot in (slot for slot in children if not lies_in(child_seats.get(slot, ""))):
-            settings |= _moved_forwards(cabin, slot, {s: v for s, v in settings.items() if s not in exact})
+            settings |= _moved_forwards(cabin, slot, {s: v for s, v in settings.items() if s not in stays})
         for slot, person in people.items():
             if person.phenotype.years < SITS_YEARS and slot not in {**child_seats, **doing, **exact} and not scene.things:
                 raise ConfigError(
@@ -113,9 +117,11 @@ class Casting:
         soft = {slot: (kind, int(rng.integers(VARIANTS))) for slot, kind in objects.items() if is_cloth(kind)}
         soft |= {thing.slot: (thing.kind, thing.variant) for thing in scene.things if is_cloth(thing.kind)}
         hard = {slot: kind for slot, kind in objects.items() if slot not in soft}
+        tongues = {slot: Tongue(np.array(t.at_m), t.how) for slot, pose in exact.items() if (t := pose.tongue) is not None}
         return Cast(
-            car, cabin, validator, names, people, settings, given, Brought(_in_use(child_seats, names), hard), soft, doing
-        )
+            car, cabin, validator, names, people, settings, given, Brought(_in_use(child_seats, names), hard), soft, doing,
+            tongues=tongues,
+        )  # fmt: skip
 
     def _outfit(self, index: int, slot: str, name: str) -> int:
         """The number of the outfit of whoever sits in a slot: as asked for, or drawn."""
@@ -214,10 +220,6 @@ def _moved_forwards(cabin: Cabin, slot: str, settings: Mapping[str, SeatSetting]
         return {}
     setting = settings["front_passenger"]
     return {"front_passenger": replace(setting, fore_aft_m=min(setting.fore_aft_m + _FOR_LEGS_M, front.ranges[1].fore_aft_m))}
-
-
-def _exact_setting(pose: ExactPose) -> SeatSetting:
-    return SeatSetting(pose.fore_aft_m, pose.height_m, pose.torso_angle_rad)
 
 
 def _exact_pose(pose: ExactPose, action: str) -> OccupantPose:

@@ -35,7 +35,7 @@ from cabinpose.scene.things import Attachment
 from cabinpose.synth.camera import Camera
 from cabinpose.synth.cars import Car, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
-from cabinpose.synth.occupant import ExactThing, Occupant
+from cabinpose.synth.occupant import ExactSetting, ExactThing, Occupant, check_seats
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
 from cabinpose.synth.pictures.settings import Images
 from cabinpose.synth.posture import ACTIONS, FREE_POSES, WITHOUT_SEAT
@@ -165,6 +165,9 @@ class CabinScene(Model):
         exclude_if=operator.not_,
         description=f"What hands hold, at the places where they hold it; left out: {', '.join(HELD)}.",
     )
+    seats: Mapping[str, ExactSetting] = Field(
+        {}, exclude_if=operator.not_, description="How seats are set, taken or empty, where the car has them; they stay there."
+    )
     things: tuple[ExactThing, ...] = Field(
         (), exclude_if=operator.not_, description="Child seats and objects to the last bit, in place of drawn ones."
     )
@@ -247,7 +250,7 @@ class CabinScene(Model):
     @model_validator(mode="after")
     def _known(self) -> CabinScene:
         check_cars(self.cars, self.random_cars)
-        for slot in (*self.occupancy, *self.motion, *self.always_taken):
+        for slot in (*self.occupancy, *self.motion, *self.seats, *self.always_taken):
             if slot not in OCCUPANT_SLOTS:
                 raise unknown_name("seat", slot, list(OCCUPANT_SLOTS))
         if self.factorial is not None and (somebody := self.occupants.get(self.factorial.seat)) and somebody.subject:
@@ -258,6 +261,7 @@ class CabinScene(Model):
         check_child_seats(self.child_seats, self.always_taken, self.objects)
         check_loose(self.loose_children, (*self.always_taken, *self.child_seats))
         check_held(self.held)
+        check_seats(self.seats, self.occupants)
         check_shares("attachments", self.attachments)
         check_shares("belt_misuse", self.belt_misuse)
         if not any(self.occupancy.values()) and not self.always_taken:

@@ -7,12 +7,13 @@ from typing import Any
 
 from cabinpose.core import ConfigError, Floats, Matrix
 from cabinpose.scene.body import DOFS
+from cabinpose.scene.cabin import SeatSetting
 from cabinpose.synth.camera import ExactCameraPose
 from cabinpose.synth.cars import place_name
 from cabinpose.synth.config import CabinScene, SynthConfig
-from cabinpose.synth.occupant import ExactFace, ExactPose, ExactThing, Matrix4, Occupant
+from cabinpose.synth.occupant import ExactFace, ExactPose, ExactSetting, ExactThing, ExactTongue, Matrix4, Occupant
 from cabinpose.synth.sample import SceneSampler
-from cabinpose.synth.scene import Scene
+from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.streams import frame_rng
 
 
@@ -47,11 +48,8 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         raise ConfigError("only scenes in cars are written out", hint="give a dataset of people in cars")
     occupants = {}
     for person in scene.people:
-        setting = scene.settings[person.slot]
         pose = ExactPose(
-            fore_aft_m=setting.fore_aft_m,
-            height_m=setting.height_m,
-            torso_angle_rad=setting.torso_angle,
+            **_exact_setting(scene.settings[person.slot]).model_dump(),
             vehicle_from_root=_rows(person.posed.vehicle_from_root),
             angles_rad={dof.name: float(angle) for dof, angle in zip(DOFS, person.posed.q, strict=True)},
             wheel_angle_rad=scene.wheel_angle if person.slot == "driver" else None,
@@ -59,6 +57,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             face=ExactFace(
                 gaze=person.face.gaze, lids=person.face.lids, expression=person.face.expression, units=dict(person.face.units)
             ),
+            tongue=_exact_tongue(person),
         )
         worn = {"none": {"belted": False}, "worn": {"belted": True}, "harness": {"belted": True}}.get(
             person.belt, {"belt": person.belt}
@@ -66,6 +65,11 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
         occupants[person.slot] = Occupant(
             subject=person.subject, outfit=person.person.outfit.number, action=person.action, pose=pose, **worn
         )
+    seats = {
+        slot: _exact_setting(setting)
+        for slot, setting in scene.settings.items()
+        if slot not in occupants and setting != scene.cabin.seats[slot].default
+    }
     things = tuple(
         ExactThing(
             kind=thing.thing.kind, variant=thing.thing.variant, slot=thing.slot, where=thing.at,
@@ -82,6 +86,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             right_hand_drive=1.0 if scene.cabin.drive_side == "right" else 0.0,
             occupants=occupants,
             occupancy={},
+            seats=seats,
             things=things,
             clutter=0.0,
             children=drawn.children,
@@ -106,6 +111,19 @@ def without_defaults(config: SynthConfig) -> dict[str, Any]:
     told = {key: value for key, value in config.model_dump(mode="json").items() if value != defaults.get(key)}
     told["scene"] = config.scene.model_dump(mode="json", exclude_defaults=True)
     return told
+
+
+def _exact_setting(setting: SeatSetting) -> ExactSetting:
+    return ExactSetting(fore_aft_m=setting.fore_aft_m, height_m=setting.height_m, torso_angle_rad=setting.torso_angle)
+
+
+def _exact_tongue(person: ScenePerson) -> ExactTongue | None:
+    """Where a tongue is that is not in its buckle; a belt that is plugged in is worn as any other."""
+    tongue = person.tongue
+    if tongue is None or tongue.how == "plugged" or person.belt != "none":
+        return None
+    x, y, z = tongue.at.tolist()
+    return ExactTongue(at_m=(x, y, z), how=tongue.how)
 
 
 def _curls(fingers: Floats) -> tuple[tuple[float | None, ...], ...]:

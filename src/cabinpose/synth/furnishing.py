@@ -46,7 +46,8 @@ class Furnishing:
         if not any(cast.brought) or cast.validator.contact is None:
             return cast
         settings, attachments = dict(cast.settings), self._scene.attachments
-        found = self._seat_things(cast.cabin, cast.validator.contact).place(cast.brought, tuple(cast.people), settings, rng=rng)
+        place = self._seat_things(cast.cabin, cast.validator.contact).place
+        found = place(cast.brought, tuple(cast.people), settings, stay=self._scene.seats, rng=rng)
         if isinstance(found, Blocked):
             return found
         things = tuple(restrained(thing, attachments, taken=thing.slot in cast.people, rng=rng) for thing in found)

@@ -1,4 +1,4 @@
-"""The keys of a configuration about one person in a seat, and the exact poses and things that `config frame` writes."""
+"""The keys of a configuration about one person in a seat, and the exact seats, poses and things that `config frame` writes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError, is_rigid, unknown_name
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import Face, load_faces
-from cabinpose.scene.cabin import BeltWear
+from cabinpose.scene.cabin import BeltWear, SeatSetting
 from cabinpose.scene.things import Attachment, Cloth, Clutter, PlacedThing, make_thing, thing_kind
 from cabinpose.synth.people import Model, Probability
 from cabinpose.synth.posture import ACTIONS
@@ -60,12 +60,29 @@ class ExactFace(Model):
         return Face(self.gaze, self.lids, self.expression, tuple(self.units.items()))
 
 
-class ExactPose(Model):
-    """How somebody sits, to the last bit, as `cabinpose config frame` writes it: nothing of it is solved, all of it is judged."""
+class ExactSetting(Model):
+    """How a seat is set, to the last bit."""
 
     fore_aft_m: float = Field(description="How the seat is set, from its design position.")
     height_m: float
     torso_angle_rad: float
+
+    @property
+    def setting(self) -> SeatSetting:
+        """The setting."""
+        return SeatSetting(self.fore_aft_m, self.height_m, self.torso_angle_rad)
+
+
+class ExactTongue(Model):
+    """Where the tongue of a belt is, to the last bit, that is not plugged in yet."""
+
+    at_m: tuple[float, float, float] = Field(description="In the vehicle's frame.")
+    how: Literal["loose", "drawn"] = Field(description="Beside the seat or on its way to the hand, or in the hand.")
+
+
+class ExactPose(ExactSetting):
+    """How somebody sits, to the last bit, as `cabinpose config frame` writes it: nothing of it is solved, all of it is judged."""
+
     vehicle_from_root: Matrix4 = Field(description="The pelvis frame; its origin lies between the femur heads.")
     angles_rad: Mapping[str, float] = Field(description="By joint axis, e.g. lelbow.flexion (grips: 0..1); left out: 0.")
     wheel_angle_rad: float | None = Field(None, description="How a driver's wheel is turned, + left.")
@@ -77,6 +94,11 @@ class ExactPose(Model):
     )
 
     face: ExactFace | None = Field(None, exclude_if=lambda face: face is None, description="What it does; left out: drawn.")
+    tongue: ExactTongue | None = Field(
+        None,
+        exclude_if=lambda tongue: tongue is None,
+        description="The belt's, of who buckles up; left out: worn, or not to be seen.",
+    )
 
     @field_validator("angles_rad")
     @classmethod
@@ -159,6 +181,20 @@ class Occupant(Model):
             raise ConfigError("belted and belt say the same of a person", hint="give one of the two")
         if self.outfit is not None and self.subject is None:
             raise ConfigError("an outfit's number is one of a subject's", hint="give subject as well, or leave outfit out")
+        if self.pose is not None and self.pose.tongue is not None and (self.belted or self.belt not in (None, "none")):
+            raise ConfigError(
+                "a belt whose tongue is not plugged in is not worn", hint="leave out pose.tongue, or give belted: false"
+            )
         if self.action is not None and self.pose is None:
             _ = ACTIONS[self.action]  # likewise
         return self
+
+
+def check_seats(seats: Mapping[str, ExactSetting], occupants: Mapping[str, Occupant]) -> None:
+    """Raises ConfigError for a seat whose setting is given twice."""
+    for slot in seats:
+        if (occupant := occupants.get(slot)) is not None and occupant.pose is not None:
+            raise ConfigError(
+                f"scene.seats and the whole pose in scene.occupants.{slot} both say how the seat is set",
+                hint=f"leave {slot} out of scene.seats",
+            )

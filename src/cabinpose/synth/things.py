@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -257,7 +257,13 @@ class SeatThings:
         return rp.matmul(invert(seat.vehicle_from_seat(setting)), at)
 
     def place(
-        self, brought: Brought, taken: Sequence[str], settings: dict[str, SeatSetting], *, rng: np.random.Generator
+        self,
+        brought: Brought,
+        taken: Sequence[str],
+        settings: dict[str, SeatSetting],
+        *,
+        stay: Collection[str] = (),
+        rng: np.random.Generator,
     ) -> list[PlacedThing] | Blocked:
         """Put everything onto seats that nobody has taken.
 
@@ -269,12 +275,14 @@ class SeatThings:
             Seats of people, whose objects are left out.
         settings
             Of the seats; an empty front seat that is in the way of what stands behind it is moved forwards, in place.
+        stay
+            Empty seats that are not moved.
         rng
             Source of the designs and places.
         """
         result: list[PlacedThing] = []
         for slot, kind in brought.child_seats.items():
-            found = self._child_seat(slot, kind, taken, settings, result, rng)
+            found = self._child_seat(slot, kind, (*taken, *stay), settings, result, rng)
             if isinstance(found, Blocked):
                 return found
             result.append(found)
@@ -291,7 +299,7 @@ class SeatThings:
         self,
         slot: str,
         kind: str,
-        taken: Sequence[str],
+        stay: Collection[str],
         settings: dict[str, SeatSetting],
         others: Sequence[PlacedThing],
         rng: np.random.Generator,
@@ -301,7 +309,7 @@ class SeatThings:
         for variant in rng.permutation(VARIANTS).tolist():
             at = rp.matmul(seat.vehicle_from_seat(settings[slot]), self._settled(slot, kind, variant, settings[slot].torso_angle))
             thing = PlacedThing(make_thing(kind, variant), at, slot, "seat")
-            for change in self._front_seats(slot, taken, settings):
+            for change in self._front_seats(slot, stay, settings):
                 obstacle = in_the_way(thing, self._contact.at({**settings, **change}).with_groups(around), PRESSED_M)
                 if obstacle is None:
                     settings.update(change)
@@ -312,11 +320,11 @@ class SeatThings:
         return blocked
 
     def _front_seats(
-        self, slot: str, taken: Sequence[str], settings: Mapping[str, SeatSetting]
+        self, slot: str, stay: Collection[str], settings: Mapping[str, SeatSetting]
     ) -> Iterator[Mapping[str, SeatSetting]]:
-        """Nothing, and then the empty front seats ever farther forwards."""
+        """Nothing, and then the front seats but those that `stay` ever farther forwards."""
         yield {}
-        empty = [s for s in ("driver", "front_passenger") if s in self._cabin.seats and s not in taken and s != slot]
+        empty = [s for s in ("driver", "front_passenger") if s in self._cabin.seats and s not in stay and s != slot]
         for forwards in _FORWARDS_M if slot.startswith("rear") and empty else ():
             moved = {s: min(settings[s].fore_aft_m + forwards, self._cabin.seats[s].ranges[1].fore_aft_m) for s in empty}
             yield {s: SeatSetting(x, settings[s].height_m, settings[s].torso_angle) for s, x in moved.items()}

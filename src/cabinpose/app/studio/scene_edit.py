@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
 from cabinpose.app.studio.scene_form import Path as Key
 from cabinpose.app.studio.scene_preview import Posed, Shown, camera_of, words_of
-from cabinpose.core import ConfigError, Matrix, invert, nearest_rigid, read_yaml, write_whole
+from cabinpose.core import ConfigError, Matrix, apply, invert, nearest_rigid, read_yaml, write_whole
 from cabinpose.scene.body import DOF_INDEX, DOFS, Person
 from cabinpose.scene.cabin import SeatSetting, read_car_file
 from cabinpose.synth import (
@@ -177,10 +177,13 @@ class SceneEditor:
         pose["angles_rad"] = {**pose["angles_rad"], **angles}
         pose |= others or {}
         after = _frames(person, pose)
+        if (tongue := pose.get("tongue")) and tongue["how"] == "drawn":
+            at, by = np.array(tongue["at_m"]), _nearest_hand(before, tongue["at_m"])
+            pose["tongue"] = {**tongue, "at_m": apply(after[by] @ invert(before[by]), at).tolist()}
         for thing in carried:
             held, by = np.array(thing["vehicle_from_thing"]), "lap"
             if thing["where"] == "hand":
-                by = min("lr", key=lambda side: float(np.linalg.norm(before[side][:3, 3] - held[:3, 3])))
+                by = _nearest_hand(before, held[:3, 3])
             thing["vehicle_from_thing"] = [row.tolist() for row in nearest_rigid(after[by] @ invert(before[by]) @ held)]
         self._step(dataclasses.replace(self.state, data=data), key)
 
@@ -375,6 +378,11 @@ def _frames(person: Person, pose: Mapping[str, Any]) -> dict[str, Matrix]:
         q[DOF_INDEX[axis]] = angle
     root = np.array(pose["vehicle_from_root"], np.float64)
     return {**person.pose(q, root).palms, "lap": root}
+
+
+def _nearest_hand(frames: Mapping[str, Matrix], place: ArrayLike) -> str:
+    """Of `_frames` the hand, "l" or "r", whose palm is nearest to a place (3,) m, vehicle frame."""
+    return min("lr", key=lambda side: float(np.linalg.norm(frames[side][:3, 3] - np.asarray(place))))
 
 
 def _files(data: Mapping[str, Any]) -> Iterator[tuple[Key, str]]:

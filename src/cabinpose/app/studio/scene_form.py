@@ -240,7 +240,7 @@ class _Builder:
         last = str(path[-1])
         if last in _AXES:
             return tuple(DOF_INDEX)
-        if last in ("occupants", "occupancy", "motion", *_THINGS):
+        if last in ("occupants", "occupancy", "motion", "seats", *_THINGS):
             return OCCUPANT_SLOTS
         if path[-2:-1] and path[-2] in _THINGS:
             return things_for(_THINGS[path[-2]])[1:]
