@@ -10,13 +10,14 @@ from scipy import stats
 
 import cabinpose
 from cabinpose.core import ConfigError
+from cabinpose.scene.body import SUBJECTS
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_config, without_defaults
 from cabinpose.synth.people import People
 from cabinpose.synth.person_look import look_of
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.streams import frame_rng
-from cabinpose.synth.subjects import Subjects
+from cabinpose.synth.subjects import CHILDREN, Subjects
 
 SEED = 5
 FIRST = {"scene": {"kind": "cabin", "occupancy": {"driver": 1}}, "people": {"subjects": ["S02"]}}
@@ -63,6 +64,41 @@ def test_own_people_have_one_outfit_or_a_list() -> None:
             ),
             SEED,
         ).sample(0, rng=frame_rng(SEED, 0))
+
+
+def test_bodies_are_made_once_however_many_outfits() -> None:
+    """More outfits than are kept do not crowd out the people themselves, nor what is known of a shape in a kind of shoes."""
+    names, people = list(SUBJECTS), People(outfits=8)
+    subjects = Subjects(people, SEED)
+    made = {(name, number): subjects.person(name, number) for number in range(8) for name in names}
+    for name in names:
+        assert len({made[name, number].build for number in range(8)}) == len({made[name, n].outfit.shoes for n in range(8)})
+    again = Subjects(people, SEED)
+    for (name, number), person in made.items():
+        assert again.person(name, number).build is person.build
+        assert number or again.person(name, number) is person
+
+
+YOUNG = {"scarf": {False}, "gloves": {False}, "mask": {False}, "glasses": {"none"}, "headwear": {"none", "cap", "beanie"}}
+
+
+@pytest.mark.parametrize("kind", "IT")
+def test_small_children_wear_what_they_can(kind: str) -> None:
+    drawn = [Subjects(People(), seed).body(f"{kind}{n:02d}") for seed in range(20) for n in range(CHILDREN)]
+    infants = [outfit for phenotype, outfit in drawn if phenotype.years < 1.0]
+    toddlers = [outfit for phenotype, outfit in drawn if 1.0 <= phenotype.years < 3.0]
+    assert len(infants) > 40
+    assert len(toddlers) > 200 or kind == "I"
+    for outfit in infants:
+        assert all(getattr(outfit, name) in allowed for name, allowed in YOUNG.items())
+        assert outfit.bottom in ("trousers", "shorts")
+        assert outfit.shoes == "none"
+    for outfit in (*infants, *toddlers):
+        assert outfit.top != "coat"
+        assert not outfit.mask
+        assert outfit.glasses == "none"
+        assert outfit.headwear != "headscarf"
+    assert len({outfit.top for outfit in infants}) > 4  # and not all the same
 
 
 def test_an_outfit_by_number_needs_its_subject() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,19 @@ _CHILD_YEARS = {"I": (0.0, 1.0), "K": (3.0, 11.5), "T": (0.75, 3.0)}
 _LEAST_M = {"K": 0.90}  # of who is drawn for a child seat: shorter ones are among toddlers
 _MUSCLES = (0.3, 0.2, 0.1, 0.0)  # of own people, the first with which a body can have the mass: heavy ones have less
 _KEPT = 80  # dressed people, of 1.5 MB: all outfits of those that are in play
-_OUTFITS = 3  # of a named person, kept over all datasets
+_OUTFITS = 3  # of a named person beside the first, kept over all datasets
 _BEARD_YEARS, _BALD_YEARS, _WALKS_YEARS = 16.0, 25.0, 1.0
 _WEIGHT = 0.65  # of own people; about the average of S01 .. S18
+# What nobody wears who is younger, years, and what is worn in its place; all assumed. Harnesses go over no coats.
+_WORN_FROM: tuple[tuple[float, str, str | bool, str | bool], ...] = (
+    (_WALKS_YEARS, "scarf", True, False), (_WALKS_YEARS, "gloves", True, False),
+    *((_WALKS_YEARS, "headwear", name, "none") for name in ("hood", "hat")),
+    *((_WALKS_YEARS, "bottom", name, "trousers") for name in ("jeans", "skirt", "long_skirt", "dress")),
+    *((_WALKS_YEARS, "shoes", name, "none") for name in ("trainers", "leather")),
+    (SEATED_YEARS, "top", "coat", "jumper"), (SEATED_YEARS, "mask", True, False),
+    *((SEATED_YEARS, "glasses", name, "none") for name in ("clear", "sun")),
+    (8.0, "headwear", "headscarf", "none"),
+)  # fmt: skip
 
 
 class Subjects:
@@ -44,11 +55,11 @@ class Subjects:
     def __init__(self, people: People, seed: int, *, like: Subjects | None = None) -> None:
         """like: those of a dataset whose bodies are taken over where people and seed make the same ones."""
         self._people, self._seed = people, seed
-        self._person = cached_once(_KEPT)(self._make_person)
+        self._person, self._first = cached_once(_KEPT)(self._make_person), cached_once(_KEPT)(self._make_body)
         self.drives = cached_once(1024)(self._old_enough)
         self._stature_m = cached_once(len(_CHILD_YEARS) * CHILDREN)(self._drawn_stature)
         if like is not None and like._seed == seed and like._people == people:
-            self._person = like._person
+            self._person, self._first = like._person, like._first
 
     def outfits(self, name: str) -> int:
         """How many outfits somebody has: children in child seats one."""
@@ -131,10 +142,18 @@ class Subjects:
         return least <= SEATED_YEARS or self.body(name)[0].years >= least
 
     def _make_person(self, name: str, number: int) -> Person:
-        phenotype, outfit = self.body(name, number)
+        if not number:
+            return self._first(name)
+        outfit = self.body(name, number)[1]
         if name in SUBJECTS and not self._people.asymmetric:
-            return _named_person(name, outfit)
-        return self._person(name, 0).redressed(outfit) if number else BodyModel.load().person(phenotype, outfit)
+            return _redressed(name, outfit)
+        return self._first(name).redressed(outfit)
+
+    def _make_body(self, name: str) -> Person:
+        """Somebody in the first outfit."""
+        if name in SUBJECTS and not self._people.asymmetric:
+            return _named_person(name)
+        return BodyModel.load().person(*self.body(name))
 
 
 def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotype, Outfit]:
@@ -142,22 +161,27 @@ def subject_body(config: SynthConfig, seed: int, subject: str) -> tuple[Phenotyp
     return Subjects(config.people, seed).body(subject)
 
 
-@cached_once(_OUTFITS * len(SUBJECTS))
-def _named_person(name: str, outfit: Outfit) -> Person:
-    """Who is the same in all datasets."""
-    if outfit.number:
-        return _named_person(name, SUBJECTS[name].outfit).redressed(outfit)
+@cached_once(2 * len(SUBJECTS))
+def _named_person(name: str) -> Person:
+    """Who is the same in all datasets, in the first outfit; percentiles are kept beside the listed ones."""
     return BodyModel.load().person(SUBJECTS[name].phenotype, SUBJECTS[name].outfit)
 
 
+@cached_once(_OUTFITS * len(SUBJECTS))
+def _redressed(name: str, outfit: Outfit) -> Person:
+    """The same in another outfit; apart from the first ones, which these never crowd out: bodies are made once."""
+    return _named_person(name).redressed(outfit)
+
+
 def _suited(outfit: Outfit, phenotype: Phenotype) -> Outfit:
-    """The outfit with the beard and baldness of men alone, and what infants wear."""
+    """The outfit with the beard and baldness of men alone, and of children what they wear."""
     grown_man = phenotype.gender < 0.5 and phenotype.years >= _BEARD_YEARS
-    if phenotype.years < SEATED_YEARS:
-        outfit = replace(outfit, glasses="none", mask=False)
+    instead: dict[str, Any] = {
+        kind: other for years, kind, name, other in _WORN_FROM if phenotype.years < years and getattr(outfit, kind) == name
+    }
+    outfit = replace(outfit, **instead)
     if phenotype.years < _WALKS_YEARS:  # in a romper suit, socks and little hair
-        bottom = "trousers" if outfit.bottom == "jeans" else outfit.bottom
-        outfit = replace(outfit, beard=False, bottom=bottom, shoes="none", hair="short")
+        outfit = replace(outfit, beard=False, hair="short")
         return replace(outfit, hair="bald") if outfit.folds % 2 else outfit
     return replace(
         outfit,

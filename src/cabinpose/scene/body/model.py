@@ -51,16 +51,18 @@ class Person:
         self.eyes_rest: Floats = (heads[space.heads["leye"]] + heads[space.heads["reye"]]) / 2 - origin
         self.stature_m = phenotype.size.stature_m if phenotype.size else float(np.ptp(skin[:, 2]))
         self.build = Build()
+        self._shod = {outfit.shoes: (self.rest, self.build)}  # of all outfits
 
     def redressed(self, outfit: Outfit) -> Person:
         """The same person in another outfit; what is known of the shape is shared."""
         other = copy(self)
         other.outfit = outfit
         other.__dict__.pop("dressed", None)
-        if outfit.shoes != self.outfit.shoes:
+        if outfit.shoes not in self._shod:
             soles = self.rest.soles.copy()
             soles[:, :3, 3] += _under_soles(self.outfit) - _under_soles(outfit)
-            other.rest, other.build = self.rest._replace(soles=soles), Build()
+            self._shod.setdefault(outfit.shoes, (self.rest._replace(soles=soles), Build()))
+        other.rest, other.build = self._shod[outfit.shoes]
         return other
 
     @property
