@@ -27,7 +27,7 @@ from cabinpose.app.studio.scene_form import Field, axis_words, form, with_change
 from cabinpose.app.studio.scene_preview import Preview, Shown, camera_of
 from cabinpose.app.studio.scene_session import SceneRoom
 from cabinpose.core.errors import ConfigError
-from cabinpose.core.frames import is_rigid
+from cabinpose.core.frames import apply, is_rigid
 from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.scene import Surface
 from cabinpose.scene.body import DOFS
@@ -346,6 +346,21 @@ def test_seat_takes_its_person_along(accepted: tuple[SceneEditor, Shown], previe
     assert is_rigid(np.array(pose.vehicle_from_root))
     with pytest.raises(ConfigError, match="outside"):
         editor.set_seat(moved, "driver", "fore_aft_m", 2.0)
+
+
+def test_tongue_of_a_belt_goes_along_with_the_hand_that_draws_it(accepted: tuple[SceneEditor, Shown], preview: Preview) -> None:
+    editor, shown = accepted
+    driver = next(person for person in shown.scene.people if person.slot == "driver")
+    palm = driver.posed.palms["r"]
+    occupant = editor.state.data["scene"]["occupants"]["driver"]
+    tongue = {"at_m": apply(palm, np.array((0.0, 0.0, 0.03))).tolist(), "how": "drawn"}
+    editor.set(("scene", "occupants", "driver"), {**occupant, "belted": False, "pose": {**occupant["pose"], "tongue": tongue}})
+    assert editor.errors == {}
+    editor.move_hand(draw(preview, editor), "driver", "r", palm[:3, 3] + (0.02, 0.03, 0.05))
+    after = next(person for person in draw(preview, editor).scene.people if person.slot == "driver")
+    assert after.tongue is not None
+    assert np.linalg.norm(after.tongue.at - tongue["at_m"]) > 0.03
+    np.testing.assert_allclose(after.tongue.at, apply(after.posed.palms["r"], np.array((0.0, 0.0, 0.03))), atol=2e-3)
 
 
 def test_camera_is_moved(editor: SceneEditor, preview: Preview) -> None:

@@ -229,9 +229,14 @@ _GIVEN = {"driver": (0.01, 0.02, 0.41), "front_passenger": (-0.02, 0.0, 0.36), "
 _SEATS = {slot: dict(zip(("fore_aft_m", "height_m", "torso_angle_rad"), at, strict=True)) for slot, at in _GIVEN.items()}
 
 
-def test_a_seat_that_is_given_stays() -> None:
+@pytest.mark.parametrize(
+    "behind",
+    [{"occupancy": {"driver": 1.0, "rear_right": 1.0}}, {"child_seats": {"rear_right": "toddler"}, "children": 1.0}],
+    ids=["grown-up", "child"],
+)
+def test_a_seat_that_is_given_stays(behind: dict[str, Any]) -> None:
     """An empty one and one that somebody takes, with knees behind; this car has no seat in the middle."""
-    of = {"cars": ["city_car"], "occupancy": {"driver": 1.0, "rear_right": 1.0}}
+    of = {"cars": ["city_car"], "occupancy": {"driver": 1.0}} | behind
     free, kept = scenes(config(of), range(3)), scenes(config(of | {"seats": _SEATS}), range(3))
     assert any(scene.settings["front_passenger"].fore_aft_m > 0.0 for scene in free)
     for scene in kept:
