@@ -44,12 +44,13 @@ def seen_from_above(surface: Surface, vehicle_from_cloth: Matrix, cell_m: float 
 
 
 def envelope(heights: Floats, cell_m: float = CELL_M) -> Floats:
-    """The lowest field over `heights` (N, M) that is nowhere steeper than `STEEPEST`."""
-    result = heights.copy()
-    for _ in range(CELLS):
-        padded = np.pad(result, 1, constant_values=-np.inf) - STEEPEST * cell_m
-        for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
-            result = np.maximum(result, padded[i : i + len(heights), j : j + heights.shape[1]])
+    """The lowest field over `heights` (N, M) that is along x and along y nowhere steeper than `STEEPEST`."""
+    result, step = heights, STEEPEST * cell_m
+    for _ in range(2):  # along one axis and along the other, there and back
+        result = result.T.copy()
+        for rows in (result, result[::-1]):
+            for before, row in zip(rows[:-1], rows[1:], strict=True):
+                np.maximum(row, before - step, out=row)
     return result
 
 
