@@ -7,6 +7,7 @@ cloth hangs, so that nothing comes through it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +50,7 @@ def envelope(heights: Floats, cell_m: float = CELL_M) -> Floats:
     for _ in range(2):  # along one axis and along the other, there and back
         result = result.T.copy()
         for rows in (result, result[::-1]):
-            for before, row in zip(rows[:-1], rows[1:], strict=True):
+            for before, row in pairwise(rows):
                 np.maximum(row, before - step, out=row)
     return result
 
