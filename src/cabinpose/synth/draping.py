@@ -7,6 +7,7 @@ cloth hangs, so that nothing comes through it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -44,12 +45,13 @@ def seen_from_above(surface: Surface, vehicle_from_cloth: Matrix, cell_m: float 
 
 
 def envelope(heights: Floats, cell_m: float = CELL_M) -> Floats:
-    """The lowest field over `heights` (N, M) that is nowhere steeper than `STEEPEST`."""
-    result = heights.copy()
-    for _ in range(CELLS):
-        padded = np.pad(result, 1, constant_values=-np.inf) - STEEPEST * cell_m
-        for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
-            result = np.maximum(result, padded[i : i + len(heights), j : j + heights.shape[1]])
+    """The lowest field over `heights` (N, M) that is along x and along y nowhere steeper than `STEEPEST`."""
+    result, step = heights, STEEPEST * cell_m
+    for _ in range(2):  # along one axis and along the other, there and back
+        result = result.T.copy()
+        for rows in (result, result[::-1]):
+            for before, row in pairwise(rows):
+                np.maximum(row, before - step, out=row)
     return result
 
 
