@@ -11,10 +11,12 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.layout import PEDAL_LENGTH, Layout
 from cabinpose.scene.cabin.model import WHEEL_GROUP, Part, SteeringWheel, Vector
 from cabinpose.scene.cabin.shading import to_surface
-from cabinpose.scene.cabin.shapes import block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
+from cabinpose.scene.cabin.shapes import Solid, block, ellipse, join, loft, rounded_box, smooth_curve, smoothstep, sweep, tube
 
 _FOOTREST_FLATTER, _FOOTREST_ANGLES = np.deg2rad(10.0), np.deg2rad((30.0, 50.0))  # than the pedals; from the horizontal (assumed)
 _FINGERS_M = 0.06  # between the rim and what is ahead of it (assumed)
+_CUP_M, _COLLAR_M, _PROUD_M = 0.0385, 0.0035, 0.009  # radius of a cup holder, its wall, and how far that stands out (assumed)
+_TWO_CUPS_M = 0.092  # half of a console that has holders beside each other
 
 
 @dataclass(frozen=True)
@@ -223,6 +225,16 @@ def pedals(layout: Layout, driver_y: float) -> tuple[dict[str, Matrix], list[Par
     return poses, parts
 
 
+def _cup_holder() -> Solid:
+    """A collar around a mat, both sunk into the surface at z = 0: the well itself is not dug out."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 20, endpoint=False)
+    circle = np.column_stack((rp.cos(turn), rp.sin(turn), 0.0 * turn))
+    wall = [(0.0, -0.02), (_COLLAR_M, -0.02), (_COLLAR_M, _PROUD_M - 0.001), (0.5 * _COLLAR_M, _PROUD_M), (0.0, _PROUD_M - 0.001)]
+    collar = [np.column_stack(((_CUP_M + out) * circle[:, :2], np.full(len(turn), z))) for out, z in wall]
+    mat = [(_CUP_M + 0.5 * _COLLAR_M) * circle + (0.0, 0.0, z) for z in (-0.01, 0.001)]
+    return join([loft(np.stack(collar), closed=True), loft(np.stack(mat))])
+
+
 def console(layout: Layout, seat_width: float) -> tuple[list[Part], Vector]:
     """The centre console, if any, and the gear lever; also where a hand finds the lever's knob, (3,) m."""
     d = layout.d
@@ -247,6 +259,10 @@ def console(layout: Layout, seat_width: float) -> tuple[list[Part], Vector]:
         path = np.stack((x, 0 * x, low + height), axis=-1)
         rings = path[:, None] + np.stack((0 * section[..., 0], section[..., 1], section[..., 0]), axis=-1)
         parts.append(Part("centre console", to_surface(loft(rings), "console", "soft_trim" if d.leather else "hard_plastic")))
+        places = (-0.043, 0.043) if half > _TWO_CUPS_M else (0.0,)
+        cups_x = h_x + 0.245
+        holders = [_cup_holder().shifted(cups_x, y, float(np.interp(cups_x, x, top))) for y in places]
+        parts.append(Part("cup holders", to_surface(join(holders), "console", "rubber")))
         deck_x = h_x + 0.36
         knob = np.array([deck_x, 0.0, float(np.interp(deck_x, x, top)) + (0.125 if d.clutch else 0.085)])
         foot = knob - (0.0, 0.0, 0.10)
