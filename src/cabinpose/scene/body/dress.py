@@ -12,7 +12,7 @@ from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Ints32
 from cabinpose.scene import labels, materials
 from cabinpose.scene.body.accessories import accessories, foot_faces_hidden, head_box
 from cabinpose.scene.body.faces import Eyes, FaceMesh, FaceRig, ball, close_lips, mouth_faces
-from cabinpose.scene.body.garments import FULL_BEND_RAD, Bend, layer
+from cabinpose.scene.body.garments import Bend, layer
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.parts import cut_skin
@@ -20,6 +20,8 @@ from cabinpose.scene.body.rig import BONE_INDEX, DOF_INDEX
 from cabinpose.scene.body.shape import ShapeSpace
 from cabinpose.scene.body.sheets import PLACES, Accessory
 from cabinpose.scene.body.wardrobe import draped
+
+_SEATED_RAD = 1.2  # flexion of the hips from which on cloth lies on the thighs (assumed)
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Dressed:
         """`rest` with the folds of a posture q (D,) rad, a copy."""
         rest = self.rest.copy()
         for bend in self.bends:
-            share = min(max(float(q[DOF_INDEX[bend.dof]]) / FULL_BEND_RAD, 0.0), 1.0)
+            share = min(max(float(q[DOF_INDEX[bend.dof]]) / bend.full_rad, 0.0), 1.0)
             rest[bend.rows] += bend.offsets * np.float32(share)
         return rest
 
@@ -109,7 +111,7 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
     close_lips(surface, seen.vertex)
     vertices, index, weight = [surface], [seen.bone_index], [seen.bone_weight]
     all_faces, all_labels, all_materials, all_worn = [seen.faces], [label[seen.face]], [material[seen.face]], [place[seen.face]]
-    count = len(seen.vertex)
+    count, bends = len(seen.vertex), list(_numbered(clothes.bends, seen.vertex))
     middle, bare = eye_centres.mean(axis=0), skin.astype(np.float64)
     of_cloth = draped(clothes.vertices, rest, middle, head_box(bare, middle), outfit)
     for part in (_eyeballs(eyes), *accessories(bare, rest, middle, outfit), *of_cloth):
@@ -127,13 +129,16 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
         all_labels.append(part.label)
         all_materials.append(part.material)
         all_worn.append(np.full(len(part.faces), PLACES.index(part.worn), np.uint8))
+        if part.seated is not None:  # half of it by each hip
+            rows_of, half = count + np.arange(len(part.vertices)), (0.5 * part.seated).astype(np.float32)
+            bends += [Bend(f"{side}hip.flexion", rows_of, half, _SEATED_RAD) for side in "lr"]
         count += len(part.vertices)
     is_lip = np.zeros(sum(map(len, all_faces)), np.bool_)
     is_lip[: len(seen.face)] = cut.inside["lips"][seen.face]
     return Dressed(
         np.concatenate(vertices), np.concatenate(index), np.concatenate(weight), np.concatenate(all_faces),
         np.concatenate(all_labels), np.concatenate(all_materials), np.concatenate(all_worn), is_lip,
-        FaceRig(skin, eyes, _face_mesh(shod=shod)), _numbered(clothes.bends, seen.vertex),
+        FaceRig(skin, eyes, _face_mesh(shod=shod)), tuple(bends),
     )  # fmt: skip
 
 
@@ -141,4 +146,4 @@ def _numbered(bends: tuple[Bend, ...], vertex: Ints) -> tuple[Bend, ...]:
     """The same with the numbers that the seen vertices (n,) have among those that are used."""
     number = np.full(int(max(vertex.max(), *(bend.rows.max(initial=0) for bend in bends))) + 1, -1)
     number[vertex] = np.arange(len(vertex))
-    return tuple(Bend(b.dof, number[b.rows][used], b.offsets[used]) for b in bends for used in (number[b.rows] >= 0,))
+    return tuple(b._replace(rows=number[b.rows][used], offsets=b.offsets[used]) for b in bends for used in (number[b.rows] >= 0,))

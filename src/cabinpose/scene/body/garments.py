@@ -74,11 +74,12 @@ CAP_DEPTH_M, BEARD_DEPTH_M, BROW_DEPTH_M = 0.014, 0.008, 0.0015
 
 
 class Bend(NamedTuple):
-    """What the flexion of a joint moves: vertices (n,) by offsets (n, 3) m at rest, all of it from `FULL_BEND_RAD` on."""
+    """What the flexion of a joint moves: vertices (n,) by offsets (n, 3) m at rest, all of it from an angle on, rad."""
 
     dof: str
     rows: Ints
     offsets: Floats32
+    full_rad: float = FULL_BEND_RAD
 
 
 class Region(NamedTuple):

@@ -24,7 +24,8 @@ _TURNS = 48  # directions of a section's hull
 class Accessory:
     """A mesh at rest (N, 3) m in root axes with faces (F, 3), bound to `bones` with weights (N, len(bones)).
 
-    worn: the place of `PLACES` whose colour and dye it has, "" where its material says so.
+    worn: the place of `PLACES` whose colour and dye it has, "" where its material says so · seated: (N, 3) m, by which it is
+    moved at rest where both hips are bent, None where it is not.
     """
 
     vertices: Floats
@@ -34,6 +35,7 @@ class Accessory:
     label: Bytes
     material: Bytes
     worn: str = ""
+    seated: Floats | None = None
 
 
 def rigid(vertices: Floats, faces: Ints32, bone: str, label: str, material: str, worn: str = "") -> Accessory:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from cabinpose.scene.body.outfit import Garment
 from cabinpose.scene.body.sheets import Accessory, Cloud, Draped, bound, hull_radius
 
 _ROWS, _COLUMNS, _NEAR_M = 26, 56, 0.03
+_OVER_SKIRT_M, _ON_THIGHS_M = 0.009, 0.010  # of a coat, off the skirt below; of cloth on the lap of who sits, off the thighs
 
 
 @dataclass(frozen=True)
@@ -39,37 +41,56 @@ HANGING = {
 }
 
 
-def hanging(kind: str, of: Garment, cloud: Cloud, heads: tuple[Floats, Floats, Floats], folds: int) -> Accessory:
-    """One of `HANGING` over a cloud of trunk and legs; heads: of hip, knee and ankle (3,) m on the left · folds: their number."""
-    row, (hip, knee, ankle) = HANGING[kind], heads
-    c = seen_chart()
+class Legs(NamedTuple):
+    """What cloth hangs about: a cloud of trunk and legs, and the heads of hip, knee and ankle (3,) m on the left."""
+
+    cloud: Cloud
+    heads: tuple[Floats, Floats, Floats]
+
+
+def hanging(kind: str, of: Garment, legs: Legs, folds: int, over: str = "none") -> Accessory:
+    """One of `HANGING`; folds: their number · over: another below it. Of who sits it lies on the thighs."""
+    row, (hip, knee, ankle), cloud = HANGING[kind], legs.heads, legs.cloud
     up = row.waist * load_chart().heads["neck01"][2]
     ends = np.array((up, 0.0, knee[2] - hip[2], ankle[2] - hip[2])) + (0.0, hip[2], hip[2], hip[2])
     stops = np.array((-0.2, 0.0, 1.0, 2.0))
     z = np.interp(np.linspace(stops[0], row.end, _ROWS), stops, ends)
     angle = np.linspace(row.gap, 2 * np.pi - row.gap, _COLUMNS, endpoint=row.gap > 0)
-    points, leg = cloud.points, c.leg[cloud.vertex]
-    radius = np.empty((_ROWS, _COLUMNS))
+    points, leg = cloud.points, seen_chart().leg[cloud.vertex]
+    bare, on_thighs = np.empty((2, _ROWS, _COLUMNS))
     centre = np.array((float(np.median(points[leg < 0.2, 0])) * 0.3, 0.0))
     for k, height in enumerate(z):
         near = np.abs(points[:, 2] - height) < _NEAR_M
-        radius[k] = hull_radius(points[near][:, :2] - centre, angle)
-    below = (z[0] - z)[:, None]
+        bare[k] = hull_radius(points[near][:, :2] - centre, angle)
+        thighs = near & (leg > 0.5)
+        on_thighs[k] = hull_radius(points[thighs][:, :2] - centre, angle) if height < hip[2] - _NEAR_M else bare[k]
+    radius, on_thighs = _hung(row, bare, z, angle, folds), on_thighs + _ON_THIGHS_M + row.thick
+    if over != "none":
+        radius = np.maximum(radius, _hung(HANGING[over], bare, z, angle, folds) + _OVER_SKIRT_M)
+        on_thighs = on_thighs + _OVER_SKIRT_M
+    direction = np.stack([rp.cos(angle) + 0.0 * radius, rp.sin(angle) + 0.0 * radius, 0.0 * radius], axis=2)
+    at = np.concatenate([centre, [0.0]]) + direction * radius[..., None]
+    at[..., 2] += z[:, None]
+    weights, label = _two_legs(cloud, at, abs(float(hip[1])))
+    made = Draped(at, direction, weights, label).cloth(row.thick, of, closed=row.gap == 0)
+    front = np.clip(2.0 * rp.cos(angle), 0.0, 1.0) * np.clip((hip[2] - z[:, None]) / 0.10, 0.0, 1.0)
+    lowered = direction * (front * np.minimum(on_thighs - radius, 0.0))[..., None]
+    return replace(made, seated=np.tile(lowered.reshape(-1, 3), (2, 1)))
+
+
+def _hung(row: Hanging, bare: Floats, z: Floats, angle: Floats, folds: int) -> Floats:
+    """Radius (n, m) m of hanging cloth at heights z (n,) m in directions (m,) rad, about what has the hull `bare` (n, m) m."""
+    radius, below = bare.copy(), (z[0] - z)[:, None]
     fall = 0.20 - 0.10 * rp.cos(angle)  # behind it lies under who sits
-    for k in range(1, _ROWS):  # from what is widest it hangs straight, or wider still
+    for k in range(1, len(z)):  # from what is widest it hangs straight, or wider still
         radius[k] = np.maximum(radius[k], radius[k - 1] - fall * (z[k - 1] - z[k]))
     rng = np.random.Generator(np.random.Philox(key=2 * folds + 4099))
     start = rng.uniform(0.0, 2 * np.pi, 3)
     rippled = sum(rp.sin(n * angle + s) / n for n, s in zip((6, 9, 14), start, strict=True)) * 6.0
     free = np.clip((below - 0.16) / 0.3, 0.0, 1.0)
     edge = -0.014 * np.clip(2.5 - below / 0.03, 0.0, 1.0)  # it begins under what is worn above
-    radius = radius + 0.004 + row.thick + edge + free * (0.006 + 0.004 * rippled) + row.flare * np.clip(below - 0.2, 0.0, None)
-    direction = np.stack([rp.cos(angle) + 0.0 * radius, rp.sin(angle) + 0.0 * radius, 0.0 * radius], axis=2)
-    at = np.concatenate([centre, [0.0]]) + direction * radius[..., None]
-    at[..., 2] += z[:, None]
-    weights, label = _two_legs(cloud, at, abs(float(hip[1])))
-    made = Draped(at, direction, weights, label)
-    return made.cloth(row.thick, of, closed=row.gap == 0)
+    ripples = free * (0.006 + 0.004 * rippled)
+    return np.asarray(radius + 0.004 + row.thick + edge + ripples + row.flare * np.clip(below - 0.2, 0.0, None))
 
 
 def _two_legs(cloud: Cloud, at: Floats, aside: float) -> tuple[Floats, Bytes]:

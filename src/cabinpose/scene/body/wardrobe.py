@@ -12,10 +12,10 @@ from cabinpose.scene.body.garments import half_opening
 from cabinpose.scene.body.headgear import Head, beanie, hat, headscarf, hood, mask
 from cabinpose.scene.body.kinematics import RestArrays
 from cabinpose.scene.body.neckwear import Neck, hood_down, scarf, shirt_collar, stand_collar
-from cabinpose.scene.body.outfit import Garment, Outfit, worn
+from cabinpose.scene.body.outfit import COVERING_HAIR, Garment, Outfit, worn
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.sheets import Accessory, Cloud, drape
-from cabinpose.scene.body.skirts import HANGING, hanging
+from cabinpose.scene.body.skirts import HANGING, Legs, hanging
 
 _HEAD_M = 0.116  # height of the average adult's head over the eyes
 _ON_HEADS = {"beanie": beanie, "hat": hat, "headscarf": headscarf, "hood": hood}
@@ -40,10 +40,10 @@ def draped(
     size = head[3] / _HEAD_M
     made: list[Accessory] = []
     wears = worn(outfit)
-    collar = _AT_NECKS.get(outfit.top)
-    if (collar is not None and not (collar is hood_down and outfit.headwear == "hood")) or outfit.scarf:
+    collar = None if outfit.headwear in COVERING_HAIR else _AT_NECKS.get(outfit.top)  # what covers the hair covers the neck
+    if collar is not None or outfit.scarf:
         at = Neck(everything.where((c.head + c.neck > 0.3) | ((c.up > 0.45) & (c.arm < 0.5))), neck, size)
-        if collar is not None and not (collar is hood_down and outfit.headwear == "hood"):
+        if collar is not None:
             made += collar(at, wears["top"])
         if outfit.scarf:
             made += scarf(at, wears["scarf"])
@@ -61,8 +61,9 @@ def draped(
     for place, kind in (("bottom", outfit.bottom), ("top", outfit.top)):
         if kind in HANGING:
             legs = rest.heads[[BONE_INDEX["l" + bone] for bone in ("thigh", "shank", "foot")]]
-            below = everything.where((c.arm < 0.3) & (c.up < 0.5))
-            made.append(hanging(kind, wears[place], below, (legs[0], legs[1], legs[2]), outfit.folds))
+            about = Legs(everything.where((c.arm < 0.3) & (c.up < 0.5)), (legs[0], legs[1], legs[2]))
+            over = outfit.bottom if place == "top" and outfit.bottom in HANGING else "none"
+            made.append(hanging(kind, wears[place], about, outfit.folds, over))
     return made
 
 
