@@ -21,7 +21,7 @@ _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _KNEES_IN_M = 0.02  # of a child, against those of somebody on a wide cushion
 
 
-class Legs(NamedTuple):
+class LegStance(NamedTuple):
     """How a passenger's feet stand. share: of passengers with room for it · leans: rad, the farthest of the shin of the one foot
     and of the other · forward: m, of each from where it would rest · across: m, of each past the middle, None: not crossed.
     """
@@ -35,13 +35,13 @@ class Legs(NamedTuple):
 _BACK = math.radians(21.0)
 # Feet drawn back raise the front of 40 % of thighs, 5 % cross their legs (Reed 2020, UMTRI-2020-2), of whom more are drawn
 # than find room; how both divide is assumed.
-STANCES: Mapping[str, Legs] = MappingProxyType(
+STANCES: Mapping[str, LegStance] = MappingProxyType(
     {
-        "resting": Legs(0.49, (_ON_CUSHION, _ON_CUSHION)),
-        "drawn back": Legs(0.14, (_BACK, _BACK)),
-        "one drawn back": Legs(0.15, (_BACK, _ON_CUSHION)),
-        "one stretched": Legs(0.11, (_ON_CUSHION, _ON_CUSHION), (0.07, -0.07)),
-        "ankles crossed": Legs(0.11, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
+        "resting": LegStance(0.49, (_ON_CUSHION, _ON_CUSHION)),
+        "drawn back": LegStance(0.14, (_BACK, _BACK)),
+        "one drawn back": LegStance(0.15, (_BACK, _ON_CUSHION)),
+        "one stretched": LegStance(0.11, (_ON_CUSHION, _ON_CUSHION), (0.07, -0.07)),
+        "ankles crossed": LegStance(0.11, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
     }
 )
 _ROOMY = frozenset({"ankles crossed"})  # not behind another seat, nor beside or opposite somebody
@@ -93,7 +93,7 @@ def leg_plans(seated: SeatContext, *, rng: np.random.Generator) -> tuple[FootPla
     return _hanging(plans[0], rests), _hanging(plans[1], rests)
 
 
-def _legs(seated: SeatContext, chance: float) -> Legs:
+def _legs(seated: SeatContext, chance: float) -> LegStance:
     """The stance that a number between 0 and 1 stands for: those that need room count where nobody and no seat takes it."""
     beside = seated.neighbours
     free = not (seated.seat.slot.startswith("rear") or any(beside.close) or beside.faced) and seated.on is None
