@@ -17,7 +17,7 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, Part
 from cabinpose.scene.contact import PlacedField
-from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, felt, make_thing, stands_free
+from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, deepest_obstacle, felt, make_thing, stands_free
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.once import cached_once
 from cabinpose.synth.streams import at_rank
@@ -29,8 +29,9 @@ _STEEPEST = rp.cos(math.radians(28.0))  # of what things lie on
 _PRESSED_M = 0.010  # into what they lie on, where that is curved
 _MIDDLE_VENTS_M, _BESIDE_SCREEN_M = 0.16, 0.21  # from the middle: vents up to there are beside the screen; of a mount
 _BAND_M = 0.04  # about the height at which glass is looked for
-_TWO_CUPS_M = 0.092  # half of a console that has holders beside each other
+_FASTENED_TO = {"phone_at_vent": ("vents", "dashboard"), "phone_on_screen": ("windscreen",), "hung_jacket": ("grab handles",)}
 _IN_THE_AIR = ("phone_at_vent", "phone_on_screen")  # carried by what they are fastened to
+_GAP_M, _STEPS = 0.003, 8  # between a thing and what does not carry it; places that are tried
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
 _FLOOR_AHEAD_M = -0.06  # of the heels
 _LYING = axis_rotation("x", 0.5 * math.pi)
@@ -43,7 +44,8 @@ class ClutterPlace(NamedTuple):
 
     share: how often something does · kinds: how likely what · on: names of the parts that carry it · sunk_m: into them, of a cup
     in its holder · spread: of where it lies (1: all of `_SPOTS_M`) ·
-    seat: it is there only while nobody and no child seat is in this seat · held: upright, as it is made, facing back.
+    seat: it is there only while nobody and no child seat is in this seat · held: upright, as it is made, facing back ·
+    inwards_m: steps by which it is moved off the glass until it has room, along x.
     """
 
     share: float
@@ -53,23 +55,25 @@ class ClutterPlace(NamedTuple):
     spread: float = 1.0
     seat: str = ""
     held: bool = False
+    inwards_m: float = 0.0
 
 
 _DRINKS = {"bottle": 0.4, "cup": 0.6}
 _ON_FLOOR = {"bottle": 0.4, "papers": 0.2, "bag": 0.25, "tissues": 0.15}
 _FLOOR = ("floor mats", "floor")
+_CONSOLE = ("centre console", "cup holders")
 PLACES_OF_CLUTTER: Mapping[str, ClutterPlace] = {
-    "cup_holder_left": ClutterPlace(0.12, _DRINKS, ("centre console",), sunk_m=0.05, spread=0.0),
-    "cup_holder_right": ClutterPlace(0.12, _DRINKS, ("centre console",), sunk_m=0.05, spread=0.0),
-    "console": ClutterPlace(0.15, {"keys": 0.4, "wallet": 0.25, "phone": 0.35}, ("centre console",), spread=0.4),
+    "cup_holder_left": ClutterPlace(0.12, _DRINKS, _CONSOLE, sunk_m=0.05, spread=0.0),
+    "cup_holder_right": ClutterPlace(0.12, _DRINKS, _CONSOLE, sunk_m=0.05, spread=0.0),
+    "console": ClutterPlace(0.15, {"keys": 0.4, "wallet": 0.25, "phone": 0.35}, _CONSOLE, spread=0.4),
     "dashboard": ClutterPlace(
-        0.12, {"sunglasses": 0.35, "papers": 0.15, "phone": 0.2, "tissues": 0.15, "wallet": 0.15}, ("dashboard",)
+        0.12, {"sunglasses": 0.35, "papers": 0.15, "phone": 0.2, "tissues": 0.15, "wallet": 0.15}, ("dashboard",), inwards_m=-0.03
     ),
-    "under_screen": ClutterPlace(0.08, {"ticket": 1.0}, ("dashboard",)),
+    "under_screen": ClutterPlace(0.08, {"ticket": 1.0}, ("dashboard",), inwards_m=-0.03),
     "phone_holder": ClutterPlace(
-        0.10, {"phone_at_vent": 0.4, "phone_on_dash": 0.3, "phone_on_screen": 0.3}, ("dashboard",), held=True
+        0.10, {"phone_at_vent": 0.4, "phone_on_dash": 0.3, "phone_on_screen": 0.3}, ("dashboard",), held=True, inwards_m=-0.03
     ),
-    "shelf": ClutterPlace(0.06, {"tissues": 0.5, "papers": 0.2, "bag": 0.3}, ("parcel shelf",)),
+    "shelf": ClutterPlace(0.06, {"tissues": 0.5, "papers": 0.2, "pouch": 0.3}, ("parcel shelf",), inwards_m=0.03),
     "floor_front_passenger": ClutterPlace(0.06, _ON_FLOOR, _FLOOR, seat="front_passenger"),
     "floor_rear_left": ClutterPlace(0.05, _ON_FLOOR, _FLOOR, seat="rear_left"),
     "floor_rear_right": ClutterPlace(0.05, _ON_FLOOR, _FLOOR, seat="rear_right"),
@@ -80,7 +84,7 @@ PLACES_OF_CLUTTER: Mapping[str, ClutterPlace] = {
 DASHBOARD = "dashboard"
 """The part without which nothing lies about in a car; meshes of a user's own may have none of that name."""
 _NEEDED: Mapping[str, tuple[str, ...]] = {  # parts and reach targets, of a place or of a telephone in its holder
-    **dict.fromkeys(("cup_holder_left", "cup_holder_right", "console"), ("centre console", "gear_lever")),
+    **dict.fromkeys(("cup_holder_left", "cup_holder_right"), ("cup holders",)), "console": ("centre console", "gear_lever"),
     "dashboard": ("glovebox",), "phone_at_vent": ("vents",), "phone_on_dash": ("infotainment",),
     "phone_on_screen": ("windscreen",), "shelf": ("parcel shelf",),
     "hook_left": ("grab handles",), "hook_right": ("grab handles",),
@@ -88,11 +92,12 @@ _NEEDED: Mapping[str, tuple[str, ...]] = {  # parts and reach targets, of a plac
 
 
 class _Lying(NamedTuple):
-    """A thing where it lies: vehicle_from_thing, and the corners (2, 3) m of the box around it."""
+    """A thing where it lies: vehicle_from_thing, the corners (2, 3) m of the box around it, and the parts that carry it."""
 
     thing: Thing
     at: Matrix
     box: Floats
+    on: tuple[str, ...]
 
 
 class LyingAbout:
@@ -112,9 +117,12 @@ class LyingAbout:
         for (name, place), (chance, which, variant, spot) in zip(PLACES_OF_CLUTTER.items(), draws.tolist(), strict=True):
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
-            found = self._puts(cast.cabin, name, at_rank(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
-            if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
-                result.append(found)
+            kind = at_rank(place.kinds, which)
+            for step in range(_STEPS if place.inwards_m and kind not in _IN_THE_AIR else 1):
+                found = self._puts(cast.cabin, name, kind, int(variant * VARIANTS), int(spot * 36.0), step)
+                if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
+                    result.append(found)
+                    break
         return tuple(PlacedThing(one.thing, one.at, "", "car") for one in result)
 
 
@@ -141,23 +149,28 @@ def _is_clear(
     if placed is None:
         return True
     in_reach = ((placed.low < high) & (placed.high > low)).all(axis=1)
-    for (group, _, group_from_vehicle), near in zip(placed.groups, in_reach, strict=True):
-        if (
-            near
-            and not group.interior
-            and not stands_free(felt(group, 0.0), one.thing.cloud, rp.matmul(group_from_vehicle, one.at))
-        ):
+    for n in np.flatnonzero(in_reach).tolist():
+        group, _, group_from_vehicle = placed.groups[n]
+        if group.interior:
+            body = PlacedField((placed.groups[n],), placed.low[n : n + 1], placed.high[n : n + 1])
+            if deepest_obstacle(body, PlacedThing(one.thing, one.at, "", "car"), 0.0, one.on).excess_m > -_GAP_M:
+                return False
+        elif not stands_free(felt(group, 0.0), one.thing.cloud, rp.matmul(group_from_vehicle, one.at)):
             return False
     return True
 
 
-def _put(cabin: Cabin, name: str, kind: str, variant: int, spot: int) -> _Lying | None:
-    """A thing in its place in a car; spot: 0 to 35, which side and which way round; None where a car has no such place."""
+def _put(cabin: Cabin, name: str, kind: str, variant: int, spot: int, step: int) -> _Lying | None:
+    """A thing in its place in a car; None where a car has no such place.
+
+    spot: 0 to 35, which side and which way round · step: how often it was moved inwards.
+    """
     place, thing = PLACES_OF_CLUTTER[name], make_thing(kind, variant)
     parts = {part.name: part for part in cabin.parts}
     where = _middle(cabin, kind if name == "phone_holder" else name, parts)
     if where is None:
         return None
+    where = where + (place.inwards_m * step, 0.0, 0.0)
     if place.on and kind not in _IN_THE_AIR:
         carrying = [parts[part].surface for part in place.on if part in parts]
         if not carrying:
@@ -175,7 +188,7 @@ def _put(cabin: Cabin, name: str, kind: str, variant: int, spot: int) -> _Lying 
     before = (parts[part].surface.vertices for part in _IN_FRONT if part in parts)
     if any((np.asarray(v > box[0] - _APART_M) & (v < box[1] + _APART_M)).all(axis=1).any() for v in before):
         return None
-    return _Lying(thing, at, box)
+    return _Lying(thing, at, box, _FASTENED_TO.get(kind, place.on))
 
 
 def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None:
@@ -187,11 +200,14 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
     dash = parts[DASHBOARD].surface.vertices
     high = dash.max(axis=0).astype(np.float64)
     match name:
-        case "cup_holder_left" | "cup_holder_right" | "console":
+        case "cup_holder_left" | "cup_holder_right":
+            holders = parts["cup holders"].surface.vertices.astype(np.float64)
+            low, top = holders.min(axis=0), holders.max(axis=0)
+            aside = 0.5 * float((top - low)[1] - (top - low)[0])  # 0 of a single one
+            return np.asarray(0.5 * (low + top) + (0.0, aside if name == "cup_holder_left" else -aside, 0.2))
+        case "console":
             lever = targets["gear_lever"]
-            wide = float(np.abs(parts["centre console"].surface.vertices[:, 1]).max()) > _TWO_CUPS_M
-            y = 0.0 if name == "console" or not wide else 0.043 if name == "cup_holder_left" else -0.043
-            return np.array((lever[0] - (0.33 if name == "console" else 0.115), y, lever[2] + 0.2))
+            return np.array((lever[0] - 0.33, 0.0, lever[2] + 0.2))
         case "dashboard":
             glove = targets["glovebox"]
             return np.array((0.5 * (glove[0] + high[0]), glove[1] * 0.9, high[2] + 0.1))
@@ -220,7 +236,7 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
             handles = parts["grab handles"].surface.vertices.astype(np.float64)
             side = 1.0 if name == "hook_left" else -1.0
             own = handles[side * handles[:, 1] > 0.0]
-            return np.array((own[:, 0].mean(), side * (np.abs(own[:, 1]).min() - 0.035), own[:, 2].min()))
+            return np.array((own[:, 0].max(), side * (np.abs(own[:, 1]).min() - 0.035), own[:, 2].min()))
         case _:
             seat = seats.get(name.removeprefix("floor_"))
             return None if seat is None else seat.heel_m + (_FLOOR_AHEAD_M, 0.0, 0.2)

@@ -24,6 +24,7 @@ from .placing import RESTING_M as RESTING_M
 from .placing import Obstacle as Obstacle
 from .placing import Spot as Spot
 from .placing import cushion_frame as cushion_frame
+from .placing import deepest_obstacle as deepest_obstacle
 from .placing import felt as felt
 from .placing import in_the_way as in_the_way
 from .placing import let_down as let_down

@@ -15,6 +15,7 @@ import numpy as np
 from cabinpose.core import Floats
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.shapes import join, rounded_box, slab, smoothstep, tube
+from cabinpose.scene.things.objects import CLOTH_M
 from cabinpose.scene.things.pieces import THINGS, Kind, Piece, of_design, standing_box
 
 
@@ -90,11 +91,16 @@ def _tissues(variant: int) -> tuple[Piece, ...]:
     return (Piece("carton", standing_box(size, 0.003), "cardboard"), Piece("tissue", tissue, "paper"))
 
 
-def _held_phone(variant: int, arm: list[tuple[float, float, float]], foot: tuple[float, float, float]) -> tuple[Piece, ...]:
-    """A telephone that stands upright and looks back (-x), its middle in the origin, in claws at the end of an arm."""
+def _held_phone(
+    variant: int, arm: list[tuple[float, float, float]], foot: tuple[float, float, float], *, turns: bool = True
+) -> tuple[Piece, ...]:
+    """A telephone that stands upright and looks back (-x), its middle in the origin, in claws at the end of an arm.
+
+    turns: some designs hold it across. Claws, arm and foot are as dark as rubber, whatever the telephone is.
+    """
     wide, high = of_design(0.068, 0.076, variant, 1), of_design(0.142, 0.160, variant, 1)
-    if variant % 3 == 1:
-        wide, high = high, wide  # across
+    if turns and variant % 3 == 1:
+        wide, high = high, wide
     body = rounded_box((0.008, wide, high), (0.003, 0.009, 0.009), (1, 2, 3), corner=1)
     screen = rounded_box((0.001, wide - 0.006, high - 0.006), 0.0004, (1, 1, 1), corner=1).shifted(-0.0038)
     plate = rounded_box((0.012, min(wide, 0.05), 0.06), 0.004, (1, 1, 1), corner=1).shifted(0.009)
@@ -103,11 +109,13 @@ def _held_phone(variant: int, arm: list[tuple[float, float, float]], foot: tuple
     ]
     base = rounded_box(foot, 0.006, (1, 1, 1), corner=1).shifted(*arm[-1])
     parts = [plate, *claws, tube(arm, 0.006, 6), base]
-    return (Piece("body", body, "metal"), Piece("screen", screen, "hard_plastic"), Piece("holder", join(parts), "hard_plastic"))
+    return (Piece("body", body, "metal"), Piece("screen", screen, "hard_plastic"), Piece("holder", join(parts), "rubber"))
 
 
 def _phone_at_vent(variant: int) -> tuple[Piece, ...]:
-    return _held_phone(variant, [(0.012, 0.0, 0.0), (0.026, 0.0, 0.0), (0.034, 0.0, 0.0)], (0.010, 0.030, 0.020))
+    """Upright: beside a vent there is no room for one across."""
+    arm = [(0.012, 0.0, 0.0), (0.030, 0.0, -0.01), (0.044, 0.0, -0.02)]
+    return _held_phone(variant, arm, (0.010, 0.030, 0.020), turns=False)
 
 
 def _phone_on_dash(variant: int) -> tuple[Piece, ...]:
@@ -120,9 +128,23 @@ def _phone_on_screen(variant: int) -> tuple[Piece, ...]:
     return _held_phone(variant, [(0.012, 0.0, 0.0), (0.05, 0.0, 0.012), (0.095, 0.0, 0.03)], (0.014, 0.055, 0.055))
 
 
+def _pouch(variant: int) -> tuple[Piece, ...]:
+    """A small bag with a zip along its top."""
+    deep, wide, high = of_design(0.08, 0.12, variant, 1), of_design(0.17, 0.24, variant, 2), of_design(0.09, 0.14, variant, 3)
+
+    def bend(p: Floats) -> Floats:
+        x, y, z = p.T
+        top = smoothstep(z, 0.15 * high, high)
+        return np.stack((x * (1.0 - 0.75 * top), y * (1.0 - 0.10 * top), z), axis=-1)
+
+    body = rounded_box((deep, wide, high), (0.030, 0.035, 0.020), (3, 5, 5), corner=2).shifted(0.0, 0.0, 0.5 * high)
+    slide = tube([(0.0, -0.42 * wide, high), (0.0, 0.0, high + 0.001), (0.0, 0.42 * wide, high)], 0.0025, 5)
+    return (Piece("body", body.deformed(bend), "seat_leather", CLOTH_M), Piece("zip", slide, "metal"))
+
+
 def _hung_jacket(variant: int) -> tuple[Piece, ...]:
     """A jacket on a hanger, which hangs from the origin, its sides to x, one sleeve to the inside of the car (-y)."""
-    wide, long, thick = of_design(0.40, 0.46, variant, 1), of_design(0.62, 0.76, variant, 2), of_design(0.05, 0.07, variant, 3)
+    wide, long, thick = of_design(0.36, 0.41, variant, 1), of_design(0.54, 0.62, variant, 2), of_design(0.05, 0.07, variant, 3)
     s, t = np.meshgrid(np.linspace(-1.0, 1.0, 13), np.linspace(0.0, 1.0, 13), indexing="ij")
     shoulder = 0.085 * s * s * (1.0 - smoothstep(t, 0.0, 0.5))
     x = 0.5 * wide * s * (1.0 - 0.10 * rp.sin(np.pi * t)) + 0.006 * rp.sin(9.0 * t + 4.0 * s)
@@ -131,7 +153,7 @@ def _hung_jacket(variant: int) -> tuple[Piece, ...]:
     half = 0.5 * thick * np.sqrt(np.clip(1.0 - 0.92 * s * s, 0.05, 1.0)) * (0.45 + 0.55 * smoothstep(t, 0.0, 0.25))
     cloth = slab(np.stack((x, half + fold, z), axis=-1), np.stack((x, fold - half, z), axis=-1)).outward()
     sleeves = [
-        tube([(e * 0.44 * wide, -0.012, -0.16), (e * 0.47 * wide, -0.022, -0.34), (e * 0.45 * wide, -0.03, -0.58)],
+        tube([(e * 0.44 * wide, -0.012, -0.16), (e * 0.47 * wide, -0.022, -0.34), (e * 0.45 * wide, -0.03, 0.08 - long)],
              [0.044, 0.040, 0.034], 10)
         for e in (-1.0, 1.0)
     ]  # fmt: skip
@@ -150,6 +172,7 @@ CLUTTER: Mapping[str, Clutter] = MappingProxyType(
         "phone_at_vent": Clutter("phone", _phone_at_vent),
         "phone_on_dash": Clutter("phone", _phone_on_dash),
         "phone_on_screen": Clutter("phone", _phone_on_screen),
+        "pouch": Clutter("bag", _pouch),
         "hung_jacket": Clutter("jacket", _hung_jacket),
     }
 )

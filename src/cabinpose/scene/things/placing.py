@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -35,10 +35,12 @@ class Obstacle(NamedTuple):
     excess_m: float
 
 
-def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float) -> Obstacle:
+def deepest_obstacle(
+    placed: PlacedField, thing: PlacedThing, pressed_m: float, carried_by: Collection[str] = ()
+) -> Obstacle:
     """The part of a car that a thing is deepest in, beyond `pressed_m` of its foam.
 
-    Buckles are left out: they hang on webbing and are pushed aside.
+    The parts called `carried_by` are left out, and buckles: they hang on webbing and are pushed aside.
     """
     worst = Obstacle("", -math.inf)
     cloud = thing.thing.cloud
@@ -57,7 +59,7 @@ def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float) 
             depth = part.shell_m - part.mesh.signed_distance(local[near], _FAR_M)
             inside[near[depth > -group.bound_m]] = True
             excess = float(depth.max()) - min(part.give_m, pressed_m)
-            if excess > worst.excess_m and not part.name.endswith("buckle"):
+            if excess > worst.excess_m and not part.name.endswith("buckle") and part.name not in carried_by:
                 worst = Obstacle(part.name, excess)
         beyond = group.interior and float(-np.where(inside, np.inf, clearance).min())
         if beyond and beyond > max(worst.excess_m, group.bound_m):
