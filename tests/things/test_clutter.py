@@ -16,6 +16,7 @@ import trimesh
 from cabinpose.core import ConfigError
 from cabinpose.scene import merge
 from cabinpose.scene.cabin import build_cabin
+from cabinpose.scene.contact import ContactField
 from cabinpose.scene.labels import LABEL_ID
 from cabinpose.scene.things import CLUTTER, VARIANTS, make_thing
 from cabinpose.synth import FrameMaker, SynthConfig, exact_config, preflight
@@ -92,6 +93,55 @@ def test_things_lie_on_what_carries_them(crowded: list[Scene]) -> None:
             assert trimesh.proximity.signed_distance(mesh, underside).max() < 0.012, thing.thing.kind
             checked += 1
     assert checked > 10
+
+
+@pytest.mark.parametrize(
+    "car", ["city_car", *(pytest.param(car, marks=pytest.mark.slow) for car in ("sedan", "suv", "hatchback", "coupe", "van"))]
+)
+def test_nothing_stands_through_panes_or_roof(car: str) -> None:
+    """By rays of trimesh from where the driver's head is: no pane and no roof is between it and any corner of a thing's hull."""
+    cabin = build_cabin(car)
+    placed = ContactField(cabin).at({slot: seat.default for slot, seat in cabin.seats.items()})
+    parts = {part.name: part.surface for part in cabin.parts}
+    around = merge([parts[name] for name in parts if name.endswith((" glass", "windscreen", "backlight", "headlining"))])
+    shell = trimesh.Trimesh(around.vertices.astype(float), around.faces, process=False)
+    head = np.asarray(cabin.seats["driver"].design_h_point) + (0.0, 0.0, 0.5)
+    cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+    seated: Any = SimpleNamespace(placed=placed)
+    lying, far, found = LyingAbout(50.0), np.full(3, 100.0), Counter[str]()
+    for index in range(24):
+        for thing in lying.about(cast, [], seated, far, rng=clutter_rng(5, index)):
+            found[thing.thing.kind] += 1
+            hull = trimesh.convex.convex_hull(thing.surface(0).vertices.astype(float)).vertices
+            if thing.thing.kind == "phone_on_screen":  # its cup is at the pane
+                hull = hull[trimesh.proximity.closest_point(shell, hull)[1] > 0.025]
+            at, ray, _ = shell.ray.intersects_location(np.tile(head, (len(hull), 1)), hull - head, multiple_hits=False)
+            beyond = np.linalg.norm(hull[ray] - head, axis=1) - np.linalg.norm(at - head, axis=1)
+            assert not len(beyond) or beyond.max() < 1e-4, (thing.thing.kind, float(beyond.max()))
+    assert len(found) >= 9
+    hooks = 2 * 24
+    assert found["hung_jacket"] >= hooks // 2 or car in ("coupe", "city_car")  # some are too long for small cars
+
+
+def test_cups_stand_in_the_holders() -> None:
+    """What stands in a holder is within its collar and deeper than its rim."""
+    for car in ("sedan", "hatchback"):
+        cabin, far, seen = build_cabin(car), np.full(3, 100.0), set[float]()
+        bare: Any = SimpleNamespace(placed=None)
+        rims = next(part.surface for part in cabin.parts if part.name == "cup holders").vertices.astype(float)
+        cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+        for index in range(12):
+            for thing in LyingAbout(50.0).about(cast, [], bare, far, rng=clutter_rng(5, index)):
+                if thing.thing.kind not in ("cup", "bottle") or abs(thing.vehicle_from_thing[2, 2] - 1.0) > 1e-9:
+                    continue
+                body = thing.surface(0).vertices.astype(float)
+                middle = thing.vehicle_from_thing[:2, 3]
+                collar = np.hypot(*(rims[:, :2] - middle).T)
+                at_rim = body[body[:, 2] < rims[:, 2].max()]
+                assert np.hypot(*(at_rim[:, :2] - middle).T).max() < collar[collar > 0.03].min()
+                assert body[:, 2].min() < rims[:, 2].max() - 0.02
+                seen.add(round(float(middle[1]), 3))
+        assert len(seen) == (2 if car == "sedan" else 1)
 
 
 def test_shares_are_those_of_the_table() -> None:

@@ -152,8 +152,8 @@ def _is_clear(
     for n in np.flatnonzero(in_reach).tolist():
         group, _, group_from_vehicle = placed.groups[n]
         if group.interior:
-            body = PlacedField((placed.groups[n],), placed.low[n : n + 1], placed.high[n : n + 1])
-            if deepest_obstacle(body, PlacedThing(one.thing, one.at, "", "car"), 0.0, one.on).excess_m > -_GAP_M:
+            car = PlacedField((placed.groups[n],), placed.low[n : n + 1], placed.high[n : n + 1])
+            if deepest_obstacle(car, PlacedThing(one.thing, one.at, "", "car"), 0.0, one.on).excess_m > -_GAP_M:
                 return False
         elif not stands_free(felt(group, 0.0), one.thing.cloud, rp.matmul(group_from_vehicle, one.at)):
             return False

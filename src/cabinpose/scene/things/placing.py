@@ -35,9 +35,7 @@ class Obstacle(NamedTuple):
     excess_m: float
 
 
-def deepest_obstacle(
-    placed: PlacedField, thing: PlacedThing, pressed_m: float, carried_by: Collection[str] = ()
-) -> Obstacle:
+def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float, carried_by: Collection[str] = ()) -> Obstacle:
     """The part of a car that a thing is deepest in, beyond `pressed_m` of its foam.
 
     The parts called `carried_by` are left out, and buckles: they hang on webbing and are pushed aside.
