@@ -111,6 +111,41 @@ def test_a_skirt_spans_the_lap(name: str, garment: str) -> None:
     assert met["trousers"][0][4] < height[4] - 0.06
 
 
+@pytest.mark.parametrize("name", [MAN, WOMAN])
+@pytest.mark.parametrize("garment", ["skirt", "dress"])
+def test_a_skirt_lies_on_the_thighs_of_who_sits(name: str, garment: str) -> None:
+    """Straight above the middle of each bare thigh the cloth is near, and outside."""
+    body = person(name, garment)
+    posed = body.pose(seated(), np.eye(4))
+    surface = posed.surface(1)
+    heads = posed.bones[[BONES.index(side + bone) for bone in ("thigh", "shank") for side in "lr"], :3, 3]
+    above = 0.5 * (heads[:2] + heads[2:]) + (0.0, 0.0, 1.0)
+    places = np.array([PLACES[k] for k in body.dressed.worn])
+    cloth = trimesh.Trimesh(surface.vertices, surface.faces[places == "bottom"], process=False)
+    skin = trimesh.Trimesh(posed.skin, body.skin_faces, process=False)
+    down = np.tile((0.0, 0.0, -1.0), (2, 1))
+    tops = []
+    for mesh in (cloth, skin):
+        at, ray, _ = mesh.ray.intersects_location(above, down)
+        tops.append([at[ray == k, 2].max() for k in range(2)])
+    gap = np.subtract(*tops)
+    assert gap.min() > 0.0
+    assert gap.max() < 0.03
+
+
+@pytest.mark.parametrize("headwear", ["headscarf", "hood"])
+def test_no_collar_comes_through_what_covers_the_neck(headwear: str) -> None:
+    """Whatever the top: beside the headwear there is no more cloth than with a top that has no collar."""
+    body = person(WOMAN, "")
+    skin, middle = body.rest_skin.astype(np.float64), body.eye_centres.mean(axis=0)
+    made = []
+    for top in ("long_sleeve", "shirt", "turtleneck", "hoodie"):
+        worn = replace(PLAIN, top=top, headwear=headwear)
+        seen = layer(body.rest_skin, body.rest, worn, 1.0).vertices
+        made.append(len(draped(seen, body.rest, middle, head_box(skin, middle), worn)))
+    assert made == [1, 1, 1, 1]
+
+
 @pytest.mark.parametrize("name", [MAN, WOMAN, "S05"])
 def test_a_mask_covers_mouth_and_nose(name: str) -> None:
     """And neither eye: what a ray from before the face meets first."""

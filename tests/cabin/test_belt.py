@@ -9,6 +9,7 @@ import trimesh
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import axis_rotation
 from cabinpose.core.skeleton import CABINPOSE
+from cabinpose.scene.body import DOF_INDEX, DOFS, SUBJECTS, BodyModel, Outfit
 from cabinpose.scene.cabin import PRESETS, Cabin, Wearer, belt_surface, build_cabin
 from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.surface import Surface
@@ -200,3 +201,29 @@ def test_a_seat_of_another_cabin_is_refused() -> None:
     skin, faces, joints = dummy(sedan, "rear_center")
     with pytest.raises(ConfigError, match="rear_center"):
         Wearer(skin, faces, labels_of(skin, faces), joints).belt(seat, seat.default, coupe)
+
+
+@pytest.mark.parametrize("bottom", ["jeans", "skirt", "dress"])
+@pytest.mark.parametrize("flexion", [80.0, 100.0])
+def test_a_lap_belt_lies_over_what_is_worn_on_raised_thighs(bottom: str, flexion: float) -> None:
+    """From outside of its middle, along its plane, no ray meets trunk or thigh: all of that is below it."""
+    cabin = build_cabin("sedan")
+    seat = cabin.seats["front_passenger"]
+    anchors = seat.belt_anchors(seat.default)
+    assert anchors is not None
+    q = np.zeros(len(DOFS))
+    for side in "lr":
+        for axis, degrees in (("hip.flexion", flexion), ("knee.flexion", 70.0), ("hip.abduction", 8.0)):
+            q[DOF_INDEX[f"{side}{axis}"]] = np.radians(degrees)
+    person = BodyModel.load().person(SUBJECTS["S02"].phenotype, Outfit("t_shirt", bottom))
+    body = person.pose(q, seat.vehicle_from_back(seat.default))
+    seen = body.surface(1)
+    belt = Wearer.of(seen, body.joints).belt(seat, seat.default, cabin)
+    lap = belt.vertices[-240:].reshape(2, 40, 3, 3)[0, 6:34].astype(float)
+    chord = (anchors.buckle - anchors.outer_lap) / np.linalg.norm(anchors.buckle - anchors.outer_lap)
+    out = lap[14, 1] - anchors.outer_lap
+    out -= (out @ chord) * chord
+    lain_on = np.isin(seen.label, [code for name, code in LABEL.items() if name.startswith(("torso", "hip", "thigh"))])
+    cloth = trimesh.Trimesh(seen.vertices, seen.faces[lain_on], process=False)
+    points = lap.reshape(-1, 3) + 0.001 * out / np.linalg.norm(out)
+    assert not cloth.ray.intersects_any(points, np.tile(out, (len(points), 1))).any()

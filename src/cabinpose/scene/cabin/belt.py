@@ -29,6 +29,7 @@ WEBBING_THICKNESS = 0.0015
 _ASIDE = np.radians(60.0)  # from straight ahead, as far as a collar bone leads the belt
 _BETWEEN_M = 0.08  # by which one shoulder is nearer to the anchor than the other, where the belt lies on that one alone
 _COLLAR, _PAD = 0.48, 0.62  # from the neck to a shoulder: where a belt lies on it, and the pads of a harness
+_OVER_THIGHS = (0.3, 0.10)  # likewise, share of their length and m: what a lap part passes above, however high the knees are
 _CREASE = (0.12, 0.03)  # along the thighs from the hips, and above their bones (m of an adult)
 # Of a harness, by the width of its straps: the buckle, across, up, and out of the body; and where its two tongues go into it.
 _BUCKLE, _TONGUES = np.array((1.25, 1.6, 0.55)), np.array(((0.32, 0.55, 0.05), (-0.32, 0.55, 0.05)))
@@ -47,7 +48,7 @@ _TRUNK = (
     ("lshoulder", "lelbow", 0.0, 0.3, 0.06), ("rshoulder", "relbow", 0.0, 0.3, 0.06),
     ("lpelvis", "lknee", 0.0, 0.4, 0.085), ("rpelvis", "rknee", 0.0, 0.4, 0.085),
 )  # fmt: skip
-_NEAR_HIP, _ON_THIGHS = 0.4, 0.8  # how far down the thighs a lap part lies: on a seat of a car, and on one of a child
+_NEAR_HIP, _ON_THIGHS = 0.7, 0.8  # how far down the thighs a lap part lies: on a seat of a car, and on one of a child
 # The limbs that belts lie on near their roots: class, joints, and how far down: the lap belt farther than one before the chest,
 # which does not climb a thigh.
 _ROOTS = tuple(
@@ -104,7 +105,7 @@ class Wearer(NamedTuple):
         ahead, up, size = body.ahead, body.up, body.size
         shoulder = body.shoulder_at(anchors.upper)
         collar, front = body.collar(shoulder), 0.4 * ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0]
-        front_of_pelvis = body.pelvis + size * (0.10 * ahead + 0.065 * up)
+        front_of_pelvis = body.front_of_pelvis(anchors)
         start, courses = anchors.upper, list[_Course]()
         outer, buckle = anchors.outer_lap, anchors.buckle
         if lap_guides is not None:
@@ -145,7 +146,7 @@ class Wearer(NamedTuple):
             front, up = 0.4 * body.ahead + 0.6 * seat.vehicle_from_seat(setting)[:3, 0], body.ahead + body.up
             collar = body.collar(body.shoulder_at(anchors.upper))
             through = _kept_in_front(anchors.upper, collar, tongue, front)
-            lap = body.pelvis + body.size * (0.10 * body.ahead + 0.065 * body.up)
+            lap = body.front_of_pelvis(anchors)
             courses = [_Course(anchors.upper, through, tongue, front), _Course(anchors.outer_lap, lap, tongue, up, lap=True)]
         return merge([_ribbon(body, course, gap_m) for course in courses])
 
@@ -287,6 +288,18 @@ class _Trunk(NamedTuple):
         thighs = 0.5 * (self.at["lknee"] + self.at["rknee"]) - self.pelvis
         below = (rp.matmul(self.up, thighs)) / (rp.matmul(thighs, thighs)) * thighs - self.up
         return thighs, below / rp.norm(below)
+
+    def front_of_pelvis(self, anchors: BeltAnchors) -> Vector:
+        """What a lap part runs over: the front of the pelvis, or a thigh where it rises before that."""
+        places = [self.pelvis + self.size * (0.10 * self.ahead + 0.065 * self.up)]
+        above = _OVER_THIGHS[1] * self.size * self.thighs()[1]
+        for side in "lr":
+            hip = self.at[side + "pelvis"]
+            places.append(hip + _OVER_THIGHS[0] * (self.at[side + "knee"] - hip) - above)
+        chord = anchors.buckle - anchors.outer_lap
+        chord = chord / rp.norm(chord)
+        aside = [at - anchors.outer_lap - rp.matmul(at - anchors.outer_lap, chord) * chord for at in places]
+        return places[int(np.argmax([rp.matmul(off, self.up) / rp.norm(off) for off in aside]))]
 
     def crease(self) -> Vector:
         """Between the two thighs, on top of them, where they meet the pelvis: where a lap part lies that cannot slip up."""
