@@ -32,6 +32,7 @@ _BAND_M = 0.04  # about the height at which glass is looked for
 _FASTENED_TO = {"phone_at_vent": ("vents", "dashboard"), "phone_on_screen": ("windscreen",), "hung_jacket": ("grab handles",)}
 _IN_THE_AIR = ("phone_at_vent", "phone_on_screen")  # carried by what they are fastened to
 _GAP_M, _STEPS = 0.003, 8  # between a thing and what does not carry it; places that are tried
+_SEEN_M = 0.06  # how far the surfaces of a car are looked for: farther than cups stand in their holders
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
 _FLOOR_AHEAD_M = -0.06  # of the heels
 _LYING = axis_rotation("x", 0.5 * math.pi)
@@ -153,7 +154,8 @@ def _is_clear(
         group, _, group_from_vehicle = placed.groups[n]
         if group.interior:
             car = PlacedField((placed.groups[n],), placed.low[n : n + 1], placed.high[n : n + 1])
-            if deepest_obstacle(car, PlacedThing(one.thing, one.at, "", "car"), 0.0, one.on).excess_m > -_GAP_M:
+            thing = PlacedThing(one.thing, one.at, "", "car")
+            if deepest_obstacle(car, thing, 0.0, one.on, _SEEN_M).excess_m > -_GAP_M:
                 return False
         elif not stands_free(felt(group, 0.0), one.thing.cloud, rp.matmul(group_from_vehicle, one.at)):
             return False

@@ -35,10 +35,13 @@ class Obstacle(NamedTuple):
     excess_m: float
 
 
-def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float, carried_by: Collection[str] = ()) -> Obstacle:
+def deepest_obstacle(
+    placed: PlacedField, thing: PlacedThing, pressed_m: float, carried_by: Collection[str] = (), seen_m: float = _FAR_M
+) -> Obstacle:
     """The part of a car that a thing is deepest in, beyond `pressed_m` of its foam.
 
-    The parts called `carried_by` are left out, and buckles: they hang on webbing and are pushed aside.
+    The parts called `carried_by` are left out, and buckles: they hang on webbing and are pushed aside. seen_m: how far
+    surfaces are looked for; what is deeper in a part, or farther from it, counts as outside of it.
     """
     worst = Obstacle("", -math.inf)
     cloud = thing.thing.cloud
@@ -54,7 +57,7 @@ def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float, 
             near = np.flatnonzero(np.asarray((local > low) & (local < high)).all(axis=1))
             if not len(near):
                 continue
-            depth = part.shell_m - part.mesh.signed_distance(local[near], _FAR_M)
+            depth = part.shell_m - part.mesh.signed_distance(local[near], seen_m)
             inside[near[depth > -group.bound_m]] = True
             excess = float(depth.max()) - min(part.give_m, pressed_m)
             if excess > worst.excess_m and not part.name.endswith("buckle") and part.name not in carried_by:
