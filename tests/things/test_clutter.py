@@ -15,7 +15,7 @@ import trimesh
 
 from cabinpose.core import ConfigError
 from cabinpose.scene import merge
-from cabinpose.scene.cabin import build_cabin
+from cabinpose.scene.cabin import Cabin, build_cabin
 from cabinpose.scene.contact import ContactField
 from cabinpose.scene.labels import LABEL_ID
 from cabinpose.scene.things import CLUTTER, VARIANTS, make_thing
@@ -30,6 +30,11 @@ PLAIN: dict[str, Any] = {
     "occupancy": {"driver": 0.9, "front_passenger": 0.5, "rear_left": 0.3},
 }
 THING = {"kind": "cup", "variant": 0, "slot": "driver", "where": "lap", "vehicle_from_thing": np.eye(4).tolist()}
+
+
+def _empty(cabin: Cabin, contact: ContactField | None = None) -> Any:
+    """A cast of nobody."""
+    return SimpleNamespace(cabin=cabin, people={}, things=(), validator=SimpleNamespace(contact=contact))
 
 
 def scenes(count: int, **scene: Any) -> list[Scene]:
@@ -101,12 +106,13 @@ def test_things_lie_on_what_carries_them(crowded: list[Scene]) -> None:
 def test_nothing_stands_through_panes_or_roof(car: str) -> None:
     """By rays of trimesh from where the driver's head is: no pane and no roof is between it and any corner of a thing's hull."""
     cabin = build_cabin(car)
-    placed = ContactField(cabin).at({slot: seat.default for slot, seat in cabin.seats.items()})
+    contact = ContactField(cabin)
+    placed = contact.at({slot: seat.default for slot, seat in cabin.seats.items()})
     parts = {part.name: part.surface for part in cabin.parts}
     around = merge([parts[name] for name in parts if name.endswith((" glass", "windscreen", "backlight", "headlining"))])
     shell = trimesh.Trimesh(around.vertices.astype(float), around.faces, process=False)
     head = np.asarray(cabin.seats["driver"].design_h_point) + (0.0, 0.0, 0.5)
-    cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+    cast: Any = _empty(cabin, contact)
     seated: Any = SimpleNamespace(placed=placed)
     lying, far, found = LyingAbout(50.0), np.full(3, 100.0), Counter[str]()
     for index in range(24):
@@ -129,7 +135,7 @@ def test_cups_stand_in_the_holders() -> None:
         cabin, far, seen = build_cabin(car), np.full(3, 100.0), set[float]()
         bare: Any = SimpleNamespace(placed=None)
         rims = next(part.surface for part in cabin.parts if part.name == "cup holders").vertices.astype(float)
-        cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+        cast: Any = _empty(cabin)
         for index in range(12):
             for thing in LyingAbout(50.0).about(cast, [], bare, far, rng=clutter_rng(5, index)):
                 if thing.thing.kind not in ("cup", "bottle") or abs(thing.vehicle_from_thing[2, 2] - 1.0) > 1e-9:
@@ -147,7 +153,7 @@ def test_cups_stand_in_the_holders() -> None:
 def test_shares_are_those_of_the_table() -> None:
     """Chi-square of how often each place has something, in an empty car: no one is in the way."""
     cabin, lying, frames = build_cabin("sedan"), LyingAbout(1.0), 1200
-    cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+    cast: Any = _empty(cabin)
     seated: Any = SimpleNamespace(placed=None)
     far = np.full(3, 100.0)
     found: Counter[str] = Counter()
@@ -241,7 +247,7 @@ def test_cars_without_places_have_nothing_there(monkeypatch: pytest.MonkeyPatch)
     for name in ("whole", "dashboard", "floor"):
         parts = tuple(part for part in whole.parts if name in ("whole", part.name))
         cabin = whole if name == "whole" else dataclasses.replace(whole, parts=parts, reach_targets={})
-        cast: Any = SimpleNamespace(cabin=cabin, people={}, things=())
+        cast: Any = _empty(cabin)
         lying = LyingAbout(10.0)
         found[name] = {t.thing.kind for i in range(40) for t in lying.about(cast, [], seated, far, rng=clutter_rng(3, i))}
     assert len(found["whole"]) >= 10

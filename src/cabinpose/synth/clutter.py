@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from threading import Lock
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -16,10 +18,9 @@ from cabinpose.core import Floats, Matrix, apply, axis_rotation, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, Part
-from cabinpose.scene.contact import PlacedField
+from cabinpose.scene.contact import ContactField, PlacedField
 from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, deepest_obstacle, felt, make_thing, stands_free
 from cabinpose.synth.casting import Cast
-from cabinpose.synth.once import cached_once
 from cabinpose.synth.streams import at_rank
 from cabinpose.synth.validate import Seated
 
@@ -36,7 +37,7 @@ _SEEN_M = 0.06  # how far the surfaces of a car are looked for: farther than cup
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
 _FLOOR_AHEAD_M = -0.06  # of the heels
 _LYING = axis_rotation("x", 0.5 * math.pi)
-_KEPT = 128  # places of things, which keep their cars: some frames' worth of them
+_KEPT = 512  # things in their places in a car
 _SPOTS_M = (-0.03, 0.0, 0.03)  # beside the middle of a place
 
 
@@ -107,7 +108,6 @@ class LyingAbout:
     def __init__(self, scale: float) -> None:
         """scale: of the shares of `PLACES_OF_CLUTTER`."""
         self._scale = scale
-        self._puts = cached_once(_KEPT)(_put)
 
     def about(
         self, cast: Cast, bodies: Sequence[PosedBody], seated: Seated, eye: Floats, *, rng: np.random.Generator
@@ -118,13 +118,54 @@ class LyingAbout:
         for (name, place), (chance, which, variant, spot) in zip(PLACES_OF_CLUTTER.items(), draws.tolist(), strict=True):
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
-            kind = at_rank(place.kinds, which)
-            for step in range(_STEPS if place.inwards_m and kind not in _IN_THE_AIR else 1):
-                found = self._puts(cast.cabin, name, kind, int(variant * VARIANTS), int(spot * 36.0), step)
-                if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
-                    result.append(found)
-                    break
+            chosen = _Chosen(name, at_rank(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
+            found = _standing(cast.cabin, cast.validator.contact, chosen)
+            if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
+                result.append(found)
         return tuple(PlacedThing(one.thing, one.at, "", "car") for one in result)
+
+
+class _Chosen(NamedTuple):
+    """What is to lie where; spot: 0 to 35, which side and which way round."""
+
+    name: str
+    kind: str
+    variant: int
+    spot: int
+
+
+# What was found in cars, as long as there are these; with contact and without.
+_KNOWN: WeakKeyDictionary[Cabin, dict[tuple[_Chosen, bool], _Lying | None]] = WeakKeyDictionary()
+_LOCK = Lock()
+
+
+def _standing(cabin: Cabin, contact: ContactField | None, chosen: _Chosen) -> _Lying | None:
+    """A thing in its place in a car without people, moved inwards until it is in nothing of it; None without room."""
+    key = chosen, contact is None
+    with _LOCK:
+        known = _KNOWN.setdefault(cabin, {})
+        if key in known:
+            return known[key]
+    place, found = PLACES_OF_CLUTTER[chosen.name], None
+    for step in range(_STEPS if place.inwards_m and chosen.kind not in _IN_THE_AIR else 1):
+        found = _put(cabin, chosen, step)
+        if found is not None and (contact is None or _is_in_the_car(found, contact)):
+            break
+        found = None
+    with _LOCK:  # two threads may both come here: the results are equal
+        known[key] = found
+        while len(known) > _KEPT:
+            del known[next(iter(known))]
+    return found
+
+
+def _is_in_the_car(one: _Lying, contact: ContactField) -> bool:
+    """Whether a thing is in no part of the car's body, and not beyond it."""
+    here = np.eye(4)
+    body = tuple((group, here, here) for group in contact.groups if group.interior)
+    car = PlacedField(body, np.zeros((len(body), 3)), np.zeros((len(body), 3)))
+    thing = PlacedThing(one.thing, one.at, "", "car")
+    return deepest_obstacle(car, thing, 0.0, one.on, _SEEN_M).excess_m <= -_GAP_M
 
 
 def _free_seat(cast: Cast, slot: str) -> bool:
@@ -152,21 +193,14 @@ def _is_clear(
     in_reach = ((placed.low < high) & (placed.high > low)).all(axis=1)
     for n in np.flatnonzero(in_reach).tolist():
         group, _, group_from_vehicle = placed.groups[n]
-        if group.interior:
-            car = PlacedField((placed.groups[n],), placed.low[n : n + 1], placed.high[n : n + 1])
-            thing = PlacedThing(one.thing, one.at, "", "car")
-            if deepest_obstacle(car, thing, 0.0, one.on, _SEEN_M).excess_m > -_GAP_M:
-                return False
-        elif not stands_free(felt(group, 0.0), one.thing.cloud, rp.matmul(group_from_vehicle, one.at)):
+        if not group.interior and not stands_free(felt(group, 0.0), one.thing.cloud, rp.matmul(group_from_vehicle, one.at)):
             return False
     return True
 
 
-def _put(cabin: Cabin, name: str, kind: str, variant: int, spot: int, step: int) -> _Lying | None:
-    """A thing in its place in a car; None where a car has no such place.
-
-    spot: 0 to 35, which side and which way round · step: how often it was moved inwards.
-    """
+def _put(cabin: Cabin, chosen: _Chosen, step: int) -> _Lying | None:
+    """A thing in its place in a car; None where a car has no such place. step: how often it was moved inwards."""
+    name, kind, variant, spot = chosen
     place, thing = PLACES_OF_CLUTTER[name], make_thing(kind, variant)
     parts = {part.name: part for part in cabin.parts}
     where = _middle(cabin, kind if name == "phone_holder" else name, parts)
