@@ -38,6 +38,7 @@ _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of t
 _FLOOR_AHEAD_M = -0.06  # of the heels
 _LYING = axis_rotation("x", 0.5 * math.pi)
 _KEPT = 512  # things in their places in a car
+_SPOTS = 12  # of 36, that they are found again
 _SPOTS_M = (-0.03, 0.0, 0.03)  # beside the middle of a place
 
 
@@ -118,7 +119,7 @@ class LyingAbout:
         for (name, place), (chance, which, variant, spot) in zip(PLACES_OF_CLUTTER.items(), draws.tolist(), strict=True):
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
-            chosen = _Chosen(name, at_rank(place.kinds, which), int(variant * VARIANTS), int(spot * 36.0))
+            chosen = _Chosen(name, at_rank(place.kinds, which), int(variant * VARIANTS), 5 * int(spot * _SPOTS) % 36)
             found = _standing(cast.cabin, cast.validator.contact, chosen)
             if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
                 result.append(found)
