@@ -119,14 +119,14 @@ class LyingAbout:
         for (name, place), (chance, which, variant, spot) in zip(PLACES_OF_CLUTTER.items(), draws.tolist(), strict=True):
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
-            chosen = _Chosen(name, at_rank(place.kinds, which), int(variant * VARIANTS), 5 * int(spot * _SPOTS) % 36)
+            chosen = _Drawn(name, at_rank(place.kinds, which), int(variant * VARIANTS), 5 * int(spot * _SPOTS) % 36)
             found = _standing(cast.cabin, cast.validator.contact, chosen)
             if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
                 result.append(found)
         return tuple(PlacedThing(one.thing, one.at, "", "car") for one in result)
 
 
-class _Chosen(NamedTuple):
+class _Drawn(NamedTuple):
     """What is to lie where; spot: 0 to 35, which side and which way round."""
 
     name: str
@@ -136,11 +136,11 @@ class _Chosen(NamedTuple):
 
 
 # What was found in cars, as long as there are these; with contact and without.
-_KNOWN: WeakKeyDictionary[Cabin, dict[tuple[_Chosen, bool], _Lying | None]] = WeakKeyDictionary()
+_KNOWN: WeakKeyDictionary[Cabin, dict[tuple[_Drawn, bool], _Lying | None]] = WeakKeyDictionary()
 _LOCK = Lock()
 
 
-def _standing(cabin: Cabin, contact: ContactField | None, chosen: _Chosen) -> _Lying | None:
+def _standing(cabin: Cabin, contact: ContactField | None, chosen: _Drawn) -> _Lying | None:
     """A thing in its place in a car without people, moved inwards until it is in nothing of it; None without room."""
     key = chosen, contact is None
     with _LOCK:
@@ -199,7 +199,7 @@ def _is_clear(
     return True
 
 
-def _put(cabin: Cabin, chosen: _Chosen, step: int) -> _Lying | None:
+def _put(cabin: Cabin, chosen: _Drawn, step: int) -> _Lying | None:
     """A thing in its place in a car; None where a car has no such place. step: how often it was moved inwards."""
     name, kind, variant, spot = chosen
     place, thing = PLACES_OF_CLUTTER[name], make_thing(kind, variant)
