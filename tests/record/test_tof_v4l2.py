@@ -64,6 +64,9 @@ def test_pixels_of_a_device(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert [(s.sequence, s.device_ns) for s in samples if s.sequence is not None] == [(i, i * 100_000_000) for i in range(3)]
     (facts,) = [m for s in samples for m in s.messages if isinstance(m, Facts)]
     assert facts.values == {"model": "video0", "profile": "64x48", "unit_m": 0.0005, "amplitude": "none"}
+    deadline = time.monotonic() + 30
+    while source._alive() and time.monotonic() < deadline:  # the thread that reads the pipe ends after it
+        time.sleep(0.005)
     assert not source._alive()
     source.close()
 
