@@ -24,6 +24,7 @@ from cabinpose.synth.clutter import CLEAR_M, PLACES_OF_CLUTTER, LyingAbout
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
 from cabinpose.synth.streams import clutter_rng, frame_rng
+from cabinpose.synth.validate import Validator
 
 PLAIN: dict[str, Any] = {
     "cars": ["sedan", "suv", "city_car"],
@@ -34,7 +35,7 @@ THING = {"kind": "cup", "variant": 0, "slot": "driver", "where": "lap", "vehicle
 
 def _empty(cabin: Cabin, contact: ContactField | None = None) -> Any:
     """A cast of nobody."""
-    return SimpleNamespace(cabin=cabin, people={}, things=(), validator=SimpleNamespace(contact=contact))
+    return SimpleNamespace(cabin=cabin, people={}, things=(), validator=Validator(None, contact))
 
 
 def scenes(count: int, **scene: Any) -> list[Scene]:

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from threading import Lock
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -21,8 +19,9 @@ from cabinpose.scene.cabin import Cabin, Part
 from cabinpose.scene.contact import ContactField, PlacedField
 from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, deepest_obstacle, felt, make_thing, stands_free
 from cabinpose.synth.casting import Cast
+from cabinpose.synth.once import kept_with
 from cabinpose.synth.streams import at_rank
-from cabinpose.synth.validate import Seated
+from cabinpose.synth.validate import Seated, Validator
 
 CLEAR_M = 0.05  # from the skin of anybody, who has clothes on: nothing is nearer
 _LENS_M = 0.15  # nor before a lens
@@ -120,7 +119,7 @@ class LyingAbout:
             if chance >= place.share * self._scale or (place.seat and not _free_seat(cast, place.seat)):
                 continue
             chosen = _Drawn(name, at_rank(place.kinds, which), int(variant * VARIANTS), 5 * int(spot * _SPOTS) % 36)
-            found = _standing(cast.cabin, cast.validator.contact, chosen)
+            found = _standing(cast.validator, cast.cabin, chosen)
             if found is not None and _is_clear(found, result, bodies, seated.placed, eye):
                 result.append(found)
         return tuple(PlacedThing(one.thing, one.at, "", "car") for one in result)
@@ -135,29 +134,19 @@ class _Drawn(NamedTuple):
     spot: int
 
 
-# What was found in cars, as long as there are these; with contact and without.
-_KNOWN: WeakKeyDictionary[Cabin, dict[tuple[_Drawn, bool], _Lying | None]] = WeakKeyDictionary()
-_LOCK = Lock()
+def _itself(validator: Validator) -> Validator:
+    return validator
 
 
-def _standing(cabin: Cabin, contact: ContactField | None, chosen: _Drawn) -> _Lying | None:
+@kept_with(_KEPT, _itself)
+def _standing(validator: Validator, cabin: Cabin, chosen: _Drawn) -> _Lying | None:
     """A thing in its place in a car without people, moved inwards until it is in nothing of it; None without room."""
-    key = chosen, contact is None
-    with _LOCK:
-        known = _KNOWN.setdefault(cabin, {})
-        if key in known:
-            return known[key]
-    place, found = PLACES_OF_CLUTTER[chosen.name], None
+    place = PLACES_OF_CLUTTER[chosen.name]
     for step in range(_STEPS if place.inwards_m and chosen.kind not in _IN_THE_AIR else 1):
         found = _put(cabin, chosen, step)
-        if found is not None and (contact is None or _is_in_the_car(found, contact)):
-            break
-        found = None
-    with _LOCK:  # two threads may both come here: the results are equal
-        known[key] = found
-        while len(known) > _KEPT:
-            del known[next(iter(known))]
-    return found
+        if found is not None and (validator.contact is None or _is_in_the_car(found, validator.contact)):
+            return found
+    return None
 
 
 def _is_in_the_car(one: _Lying, contact: ContactField) -> bool:

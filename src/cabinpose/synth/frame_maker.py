@@ -93,7 +93,7 @@ class FrameMaker:
 
     def _first(self, index: int) -> int:
         """The frame with which the sequence of a frame begins; itself where there are none."""
-        return index if self._sequence is None else index // self._sequence.frames * self._sequence.frames
+        return index if self._sequence is None else self._sequence.first_of(index)
 
     def _make_alone(self, index: int) -> tuple[Frame, Scene]:
         """A frame as it is before a filter over time."""

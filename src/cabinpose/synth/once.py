@@ -1,13 +1,15 @@
-"""Results that are worked out once, however many threads ask for them."""
+"""Results that are worked out once: whatever asks for them, or as long as what they are of is there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import lru_cache, wraps
 from threading import Lock
-from typing import TypeVar, TypeVarTuple, Unpack
+from typing import Any, TypeVar, TypeVarTuple, Unpack
+from weakref import WeakKeyDictionary
 
 R = TypeVar("R")
+Owner = TypeVar("Owner")
 Args = TypeVarTuple("Args")
 
 
@@ -40,6 +42,46 @@ def cached_once(maxsize: int) -> Callable[[Callable[[Unpack[Args]], R]], Callabl
                 if not result:
                     result.append(function(*args))
                 return result[0]
+
+        return remembered
+
+    return decorate
+
+
+def kept_with(
+    most: int, key: Callable[[Owner], Any]
+) -> Callable[[Callable[[Owner, Unpack[Args]], R]], Callable[[Owner, Unpack[Args]], R]]:
+    """A cache of functions of an object that is released together with it: the object is held by a weak reference only.
+
+    Parameters
+    ----------
+    most
+        How many results are kept for one object: those that were made last.
+    key
+        What stands for the object, and can be weakly referred to.
+
+    Returns
+    -------
+    Callable
+        A decorator of functions of the object and hashable positional arguments, whose results do not refer to it.
+    """
+
+    def decorate(function: Callable[[Owner, Unpack[Args]], R]) -> Callable[[Owner, Unpack[Args]], R]:
+        known: WeakKeyDictionary[Any, dict[Hashable, R]] = WeakKeyDictionary()
+        lock = Lock()
+
+        @wraps(function)
+        def remembered(owner: Owner, *args: *Args) -> R:
+            with lock:
+                mine = known.setdefault(key(owner), {})
+                if args in mine:
+                    return mine[args]
+            result = function(owner, *args)  # two threads may both come here: the results are equal
+            with lock:
+                mine[args] = result
+                while len(mine) > most:
+                    del mine[next(iter(mine))]
+            return result
 
         return remembered
 

@@ -24,7 +24,7 @@ from cabinpose.synth.person_look import NOT_WORN, WORN, PersonLook, look_of, pat
 from cabinpose.synth.pictures.look import draw_trim, thing_colours
 from cabinpose.synth.render import RenderedFrame
 from cabinpose.synth.scene import Scene
-from cabinpose.synth.streams import own_rng
+from cabinpose.synth.streams import at_rank, own_rng
 
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
 _OF_CARS = ("seat_fabric", "seat_leather", "soft_trim", "hard_plastic", "headliner", "carpet", "steering_leather")
@@ -197,8 +197,9 @@ class Reflectances:
                 dyes = "print" if name.endswith("_print") else material[name]
                 seen = float(rp.matmul(_LUMINANCE, look.colours[name]))
                 result[name] = self._dyed(dyes, float(kinds[k]), float(ranks[k]), seen)
-        rest = person.dressed.rest[person.dressed.faces].astype(np.float64)
-        patterns = tuple(Pattern(part, kind, _whole_cells(kind, rest), rest) for part, kind in look.patterns.items() if kind)
+        printed = {part: kind for part, kind in look.patterns.items() if kind}
+        rest = person.dressed.rest[person.dressed.faces].astype(np.float64) if printed else np.empty((0, 3, 3))
+        patterns = tuple(Pattern(part, kind, _whole_cells(kind, rest), rest) for part, kind in printed.items())
         return WornReflectance(result, material, worn_faces(person, look), patterns)
 
     def _draw_car(self, place: str) -> tuple[Coat, ...]:
@@ -224,9 +225,7 @@ class Reflectances:
 
     def _dyed(self, material: str, kind: float, rank: float, seen: float) -> float:
         """Of a material whose dye is drawn by `kind`, 0..1, over their shares."""
-        dyes = DYES[material]
-        bounds = np.cumsum([dye.share for dye in dyes])
-        dye = dyes[min(int(np.searchsorted(bounds, kind * bounds[-1], side="right")), len(dyes) - 1)]
+        dye = at_rank({dye: dye.share for dye in DYES[material]}, kind)
         return dye.at(rank, self._wavelength, seen)
 
     def _skin(self, tone: float, deviation: float) -> float:

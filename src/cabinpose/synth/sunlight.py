@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from cabinpose.core import Bools, Camera, ConfigError, Floats, Floats32, Ints, apply
+from cabinpose.core import Bools, Camera, ConfigError, Floats, Floats32, Ints, apply, invert, look_at
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import GLAZING, MATERIAL_ID, Surface, Wavelength
 from cabinpose.scene.cabin import Cabin
@@ -79,7 +79,7 @@ class Sunlight(Model):
 
     def draw(self, seed: int, index: int, sequence: SequenceConfig | None) -> Sun:
         """The sun of frame `index` of a dataset, the same in all of its sequence."""
-        rng = sun_rng(seed, index if sequence is None else index // sequence.frames * sequence.frames)
+        rng = sun_rng(seed, index if sequence is None else sequence.first_of(index))
         first, last = self.days
         day = int(rng.integers(first, last + 1 + (_YEAR if last < first else 0)))
         hour, heading, clouds = rng.uniform(*self.hours), rng.uniform(0.0, 360.0), rng.random()
@@ -204,7 +204,8 @@ class SunView:
             return np.zeros(0, np.float32)
         centre = (seen.points.min(axis=0) + seen.points.max(axis=0)) / 2
         radius = float(np.linalg.norm(seen.points - centre, axis=1).max())
-        sun_from_world = _looking_down(towards, centre, radius * _AWAY)
+        up = (0.0, -1.0, 0.0) if abs(towards[1]) < 0.9 else (-1.0, 0.0, 0.0)
+        sun_from_world = invert(look_at(centre + radius * _AWAY * towards, centre, up))
         local = apply(sun_from_world, seen.points)
         uv = self._camera.project(local)
         panes = self._rasteriser.render(_part(surface, passed > 0), sun_from_world)
@@ -265,18 +266,6 @@ def _in_front_share(depth: Floats32, uv: Floats, z: Floats) -> Floats:
             found = depth[row + y, column + x]
             share += of_row * of_column * ((found == 0) | (found > z))
     return share
-
-
-def _looking_down(towards: Floats, centre: Floats, distance_m: float) -> Floats:
-    """(4, 4) into the frame of a camera that looks from the sun at a point."""
-    forward = -towards
-    aside = np.array((0.0, 1.0, 0.0)) if abs(towards[1]) < 0.9 else np.array((1.0, 0.0, 0.0))
-    right = np.cross(aside, forward)
-    right /= rp.norm(right)
-    rotation = np.stack((right, np.cross(forward, right), forward))
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = rotation, -rp.matmul(rotation, centre) + (0.0, 0.0, distance_m)
-    return result
 
 
 def _part(surface: Surface, which: Bools) -> Surface:

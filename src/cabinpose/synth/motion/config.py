@@ -25,6 +25,10 @@ class SequenceConfig(Model):
         description="People move on while the camera exposes its correlation samples, one after the other: motion artefacts.",
     )
 
+    def first_of(self, index: int) -> int:
+        """The frame with which the sequence of a frame begins."""
+        return index // self.frames * self.frames
+
     @field_validator("activities")
     @classmethod
     def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from functools import wraps
-from threading import Lock
+from collections.abc import Callable
 from typing import TypeVar, TypeVarTuple, Unpack
-from weakref import WeakKeyDictionary
 
-from cabinpose.scene.body import Build, Person
+from cabinpose.scene.body import Person
+from cabinpose.synth.once import kept_with
 
 R = TypeVar("R")
 Args = TypeVarTuple("Args")
@@ -16,25 +14,12 @@ _MOST = 96  # results kept of one function for one person: fits at ten reclines 
 
 
 def kept_with_person(function: Callable[[Person, Unpack[Args]], R]) -> Callable[[Person, Unpack[Args]], R]:
-    """Decorator: cache the results of a function of a person and hashable positional arguments.
+    """Decorator: cache the results of a function of a person and hashable positional arguments, which do not refer to the person.
 
-    Unlike `lru_cache` it holds the person by a weak reference only, so that the thousands of random people of a large dataset
-    can be freed. The results must not refer to the person either. All outfits of a person with the same soles share them.
+    The thousands of random people of a large dataset can be freed. All outfits of a person with the same soles share the results.
     """
-    known: WeakKeyDictionary[Build, dict[Hashable, R]] = WeakKeyDictionary()
-    lock = Lock()
+    return kept_with(_MOST, _build)(function)
 
-    @wraps(function)
-    def remembered(person: Person, *args: *Args) -> R:
-        with lock:
-            mine = known.setdefault(person.build, {})
-            if args in mine:
-                return mine[args]
-        result = function(person, *args)  # two threads may both come here: the results are equal
-        with lock:
-            mine[args] = result
-            while len(mine) > _MOST:
-                del mine[next(iter(mine))]
-        return result
 
-    return remembered
+def _build(person: Person) -> object:
+    return person.build
