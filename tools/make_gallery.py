@@ -115,7 +115,8 @@ def closeups() -> list[Cell]:
     face = "camera.views={near: {position_m: [-0.40, -0.18, 0.92], look_at_m: [-0.98, -0.37, 0.78]}}"
     cells = []
     for caption, view, subject, action, seed in CLOSEUPS:
-        sits = f"scene.occupants={{front_passenger: {{subject: {subject}, action: {action}, belted: {seed % 2 == 0}}}}}"
+        who = f"subject: {subject}, outfit: 0, action: {action}, belted: {seed % 2 == 0}"
+        sits = f"scene.occupants={{front_passenger: {{{who}}}}}"
         cells.append(Cell(caption, (*scene, lap if view == "lap" else face, sits), seed))
     return cells
 
