@@ -35,9 +35,9 @@ struct Webbing {
 
 /// Lay a ribbon over a body; whether it bends towards its inner side, so that its triangles have to be turned.
 ///
-/// skin (V, 3) m, faces (F, 3) and which of them the ribbon lies on · course (4, 3): its first end, a point of the body, its other end
-/// (m), and a direction to the side of the body on which it lies. Writes vertices (m) and unit normals of its outer, then its
-/// inner side: (side, cross-section, edge - middle - edge, 3).
+/// skin (V, 3) m, faces (F, 3) and which of them the ribbon lies on · course (4, 3): its first end, a point of the body, its
+/// other end (m), and a direction to the side of the body on which it lies. Writes vertices (m) and unit normals of its outer,
+/// then its inner side: (side, cross-section, edge - middle - edge, 3).
 ///
 /// The ribbon runs in planes through its ends and the point of the body. In such a plane a taut string around the trunk is the
 /// convex hull of the section between the ends. Three parallel planes, at the edges and the middle of the webbing, tilt the
