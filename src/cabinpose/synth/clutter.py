@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, Part
 from cabinpose.scene.contact import ContactField, PlacedField
-from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, deepest_obstacle, felt, make_thing, stands_free
+from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, felt, make_thing, stands_free, stands_inside
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.once import kept_with
 from cabinpose.synth.streams import at_rank
@@ -35,6 +35,7 @@ _GAP_M, _STEPS = 0.003, 8  # between a thing and what does not carry it; places 
 _SEEN_M = 0.06  # how far the surfaces of a car are looked for: farther than cups stand in their holders
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
 _FLOOR_AHEAD_M = -0.06  # of the heels
+Owner = TypeVar("Owner")
 _LYING = axis_rotation("x", 0.5 * math.pi)
 _KEPT = 512  # things in their places in a car
 _SPOTS = 12  # of 36, that they are found again
@@ -102,6 +103,14 @@ class _Lying(NamedTuple):
     on: tuple[str, ...]
 
 
+class _Carrying(NamedTuple):
+    """Triangles on which things may lie: corners (F, 3, 3), and opposite corners (F, 2) of the rectangles around them, m."""
+
+    corners: Floats
+    low: Floats
+    high: Floats
+
+
 class LyingAbout:
     """Puts what lies about into cars; where each thing lies in which car is worked out once."""
 
@@ -134,8 +143,8 @@ class _Drawn(NamedTuple):
     spot: int
 
 
-def _itself(validator: Validator) -> Validator:
-    return validator
+def _itself(owner: Owner) -> Owner:
+    return owner
 
 
 @kept_with(_KEPT, _itself)
@@ -151,11 +160,10 @@ def _standing(validator: Validator, cabin: Cabin, chosen: _Drawn) -> _Lying | No
 
 def _is_in_the_car(one: _Lying, contact: ContactField) -> bool:
     """Whether a thing is in no part of the car's body, and not beyond it."""
-    here = np.eye(4)
-    body = tuple((group, here, here) for group in contact.groups if group.interior)
-    car = PlacedField(body, np.zeros((len(body), 3)), np.zeros((len(body), 3)))
-    thing = PlacedThing(one.thing, one.at, "", "car")
-    return deepest_obstacle(car, thing, 0.0, one.on, _SEEN_M).excess_m <= -_GAP_M
+    bodies = [group for group in contact.groups if group.interior]
+    return all(stands_free(felt(group, 0.0, -_GAP_M, one.on), one.thing.cloud, one.at) for group in bodies) and all(
+        stands_inside(group, one.thing.cloud, one.at, one.on, _SEEN_M) for group in bodies
+    )
 
 
 def _free_seat(cast: Cast, slot: str) -> bool:
@@ -192,19 +200,18 @@ def _put(cabin: Cabin, chosen: _Drawn, step: int) -> _Lying | None:
     """A thing in its place in a car; None where a car has no such place. step: how often it was moved inwards."""
     name, kind, variant, spot = chosen
     place, thing = PLACES_OF_CLUTTER[name], make_thing(kind, variant)
-    parts = {part.name: part for part in cabin.parts}
+    parts = _parts(cabin)
     where = _middle(cabin, kind if name == "phone_holder" else name, parts)
     if where is None:
         return None
     where = where + (place.inwards_m * step, 0.0, 0.0)
     if place.on and kind not in _IN_THE_AIR:
-        carrying = [parts[part].surface for part in place.on if part in parts]
-        if not carrying:
+        carrying = _carrying(cabin, place.on)
+        if not len(carrying.corners):
             return None
         aside = place.spread * np.array((_SPOTS_M[spot % 3], _SPOTS_M[spot // 3 % 3], 0.0))
         yaw = 0.0 if place.held else (2.0 * math.pi / 4.0) * (spot // 9) + 0.35 * (spot % 3 - 1)
-        corners = np.concatenate([s.vertices[s.faces] for s in carrying]).astype(np.float64)
-        at = _laid(thing, corners, where + aside, yaw, place)
+        at = _laid(thing, carrying, where + aside, yaw, place)
     else:
         at = transform(None, where)
     if at is None:
@@ -215,6 +222,21 @@ def _put(cabin: Cabin, chosen: _Drawn, step: int) -> _Lying | None:
     if any((np.asarray(v > box[0] - _APART_M) & (v < box[1] + _APART_M)).all(axis=1).any() for v in before):
         return None
     return _Lying(thing, at, box, _FASTENED_TO.get(kind, place.on))
+
+
+@kept_with(1, _itself)
+def _parts(cabin: Cabin) -> Mapping[str, Part]:
+    """The parts of a car by name."""
+    return {part.name: part for part in cabin.parts}
+
+
+@kept_with(len(PLACES_OF_CLUTTER), _itself)
+def _carrying(cabin: Cabin, on: tuple[str, ...]) -> _Carrying:
+    """The triangles of the parts of these names."""
+    parts = _parts(cabin)
+    surfaces = [parts[name].surface for name in on if name in parts]
+    corners = np.concatenate([np.empty((0, 3, 3)), *(s.vertices[s.faces].astype(np.float64) for s in surfaces)])
+    return _Carrying(corners, corners[..., :2].min(axis=1), corners[..., :2].max(axis=1))
 
 
 def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None:
@@ -268,15 +290,15 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
             return None if seat is None else seat.heel_m + (_FLOOR_AHEAD_M, 0.0, 0.2)
 
 
-def _laid(thing: Thing, corners: Floats, where: Floats, yaw: float, place: ClutterPlace) -> Matrix | None:
-    """vehicle_from_thing of a thing let down on triangles (F, 3, 3) m: tilted as they are; None where they are too steep."""
+def _laid(thing: Thing, carrying: _Carrying, where: Floats, yaw: float, place: ClutterPlace) -> Matrix | None:
+    """vehicle_from_thing of a thing let down on triangles: tilted as they are; None where they are too steep."""
     lying = _LYING if place.on == _FLOOR and thing.label == "bottle" else np.eye(3)
     turn = rp.matmul(axis_rotation("z", yaw), lying)
     points = apply(transform(turn), thing.surface.vertices.astype(np.float64))
     low, high = points.min(axis=0), points.max(axis=0)
     x, y = (np.linspace(0.97 * low[i], 0.97 * high[i], 5) for i in (0, 1))
     probes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    heights = _heights(corners, probes + where[:2], float(where[2]))
+    heights = _heights(carrying, probes + where[:2], float(where[2]))
     if not np.isfinite(heights).all():
         return None
     if place.held or place.sunk_m:
@@ -296,9 +318,11 @@ def _laid(thing: Thing, corners: Floats, where: Floats, yaw: float, place: Clutt
     return transform(rp.matmul(tilt, turn), np.array((*where[:2], slope[2] + 0.5 * above)) - float(low[2]) * normal)
 
 
-def _heights(corners: Floats, places: Floats, below: float) -> Floats:
-    """(P,) m: of the highest triangle (F, 3, 3) under each place (P, 2) that is below a height; -inf where there is none."""
-    a, b, c = (corners[:, k] for k in range(3))
+def _heights(carrying: _Carrying, places: Floats, below: float) -> Floats:
+    """(P,) m: of the highest triangle under each place (P, 2) that is below a height; -inf where there is none."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    over = ((carrying.high >= low) & (carrying.low <= high)).all(axis=1)
+    a, b, c = np.moveaxis(carrying.corners[over], 1, 0)
     ab, ac, ap = (b - a)[:, :2], (c - a)[:, :2], places[:, None] - a[None, :, :2]
     area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     across = np.where(np.abs(area) > 1e-12, area, np.inf)  # upright ones are never met
@@ -306,4 +330,4 @@ def _heights(corners: Floats, places: Floats, below: float) -> Floats:
     t = (ab[:, 0] * ap[..., 1] - ab[:, 1] * ap[..., 0]) / across
     z = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
     under = np.isfinite(across) & (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (z < below)
-    return np.asarray(np.where(under, z, -np.inf).max(axis=1))
+    return np.asarray(np.where(under, z, -np.inf).max(axis=1, initial=-np.inf))

@@ -30,6 +30,7 @@ from .placing import in_the_way as in_the_way
 from .placing import let_down as let_down
 from .placing import stand_on_seat as stand_on_seat
 from .placing import stands_free as stands_free
+from .placing import stands_inside as stands_inside
 from .thing import VARIANTS as VARIANTS
 from .thing import Attachment as Attachment
 from .thing import Cloud as Cloud

@@ -35,13 +35,10 @@ class Obstacle(NamedTuple):
     excess_m: float
 
 
-def deepest_obstacle(
-    placed: PlacedField, thing: PlacedThing, pressed_m: float, carried_by: Collection[str] = (), seen_m: float = _FAR_M
-) -> Obstacle:
+def deepest_obstacle(placed: PlacedField, thing: PlacedThing, pressed_m: float) -> Obstacle:
     """The part of a car that a thing is deepest in, beyond `pressed_m` of its foam.
 
-    The parts called `carried_by` are left out, and buckles: they hang on webbing and are pushed aside. seen_m: how far
-    surfaces are looked for; what is deeper in a part, or farther from it, counts as outside of it.
+    Buckles are left out: they hang on webbing and are pushed aside.
     """
     worst = Obstacle("", -math.inf)
     cloud = thing.thing.cloud
@@ -57,10 +54,10 @@ def deepest_obstacle(
             near = np.flatnonzero(np.asarray((local > low) & (local < high)).all(axis=1))
             if not len(near):
                 continue
-            depth = part.shell_m - part.mesh.signed_distance(local[near], seen_m)
+            depth = part.shell_m - part.mesh.signed_distance(local[near], _FAR_M)
             inside[near[depth > -group.bound_m]] = True
             excess = float(depth.max()) - min(part.give_m, pressed_m)
-            if excess > worst.excess_m and not part.name.endswith("buckle") and part.name not in carried_by:
+            if excess > worst.excess_m and not part.name.endswith("buckle"):
                 worst = Obstacle(part.name, excess)
         beyond = group.interior and float(-np.where(inside, np.inf, clearance).min())
         if beyond and beyond > max(worst.excess_m, group.bound_m):
@@ -97,14 +94,18 @@ class Felt(NamedTuple):
     parts: list[Yielding]
 
 
-def felt(group: GroupField, pressed_m: float, yields_m: float = 0.0) -> Felt:
-    """A group whose foam may be pressed in by `pressed_m`, by points that yield by `yields_m` themselves."""
+def felt(group: GroupField, pressed_m: float, yields_m: float = 0.0, carried_by: Collection[str] = ()) -> Felt:
+    """A group whose foam may be pressed in by `pressed_m`, by points that yield by `yields_m` themselves (negative: stay off).
+
+    Parts called `carried_by` are not felt.
+    """
     parts = []
+    off = max(-yields_m, 0.0)
     for part, low, high in zip(group.parts, group.part_low, group.part_high, strict=True):
-        if not part.name.endswith("buckle"):
+        if not part.name.endswith("buckle") and part.name not in carried_by:
             allowed = min(part.give_m, pressed_m) + yields_m
             radius = part.give_m + 2.0 * group.bound_m + yields_m
-            parts.append(Yielding(part.mesh, radius, allowed, part.shell_m, low, high))
+            parts.append(Yielding(part.mesh, radius, allowed, part.shell_m, low - off, high + off))
     threshold = max(group.give_m - pressed_m, 0.0) + group.bound_m - yields_m
     lost = -group.bound_m - yields_m if len(parts) == len(group.parts) else -math.inf
     return Felt(group, threshold, group.bound_m, lost, parts)
@@ -113,6 +114,22 @@ def felt(group: GroupField, pressed_m: float, yields_m: float = 0.0) -> Felt:
 def stands_free(group: Felt, cloud: Cloud, group_from_cloud: Matrix) -> bool:
     """Whether no point is deeper in a group's parts than it may be."""
     return not native.any_deeper(cloud.points, cloud.balls, group_from_cloud, group)
+
+
+def stands_inside(
+    interior: GroupField, cloud: Cloud, interior_from_cloud: Matrix, carried_by: Collection[str], seen_m: float
+) -> bool:
+    """Whether every point of a thing is in the car's interior, or in one of the parts that carry it.
+
+    seen_m: how far the surfaces of those are looked for.
+    """
+    bound = interior.bound_m
+    index, _ = native.points_below(*cloud, interior_from_cloud, interior, threshold=-bound, seal=bound)
+    beyond = apply(interior_from_cloud, cloud.points[index])
+    for part in interior.parts:
+        if len(beyond) and part.name in carried_by:
+            beyond = beyond[part.mesh.signed_distance(beyond, seen_m) >= part.shell_m + bound]
+    return not len(beyond)
 
 
 def let_down(free: Callable[[float], bool], start: float, end: float) -> float:

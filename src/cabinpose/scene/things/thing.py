@@ -77,7 +77,8 @@ class Thing:
     def cloud(self) -> Cloud:
         """Points over its surface, about a fourteenth of its longest side from each other."""
         apart = float(np.ptp(self.box, axis=0).max()) / _POINTS_A_SIDE
-        points = np.concatenate([sampled_surface(part.mesh.corners, apart) for part in self.field.parts])
+        seen = (part.surface for part in self.parts)
+        points = np.concatenate([sampled_surface(s.vertices[s.faces].astype(np.float64), apart) for s in seen])
         # Long thin triangles have more than are needed.
         first, _ = distinct_rows(np.floor(points * (_CROWDED / apart)))
         return Cloud.of(points[np.sort(first)])
