@@ -188,34 +188,42 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, tast
     h_points = seat.h_point(SeatSetting()) + place[:, 1:] * seat.vehicle_from_seat(seat.default)[:3, 0]
     h_points[:, 2] += place[:, 0]
 
+    # Trunk and thighs as the default's fit has them, turned about the hips by how much farther a backrest leans.
+    fit = fit_seat(person, seat, seat.default.torso_angle)
+    hip = h_points + fit.seat_from_root[:3, 3]
+    leg = rp.hypot(*(ankle - hip)[:, [0, 2]].T)
+    knee = _flexion(thigh, shin, leg)
+    dorsiflexion = pad_angle - 0.5 * np.pi + _shin_angle(hip, ankle, thigh, shin, leg)
+    thigh_gap = _under_rim(hip, ankle, thigh, shin, rim_bottom, float(fit.thigh_top.max())) - wheel.rim_section_m
+    at_hip = fit.seat_from_root[:3, 3]
+    beside = wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
+    common = (
+        ((knee - _KNEE) / _KNEE_SPREAD + _TASTE * taste) ** 2
+        + ((dorsiflexion - _ANKLE) / _ANKLE_SPREAD + _TASTE * taste) ** 2
+        + (np.maximum(dorsiflexion - _BENT_ANKLE, 0.0) / _BENT_SPREAD) ** 2
+        + ((place[:, 0] - height) / _HEIGHT_SPREAD_M) ** 2
+        + (np.maximum(leg - 0.985 * (thigh + shin), 0.0) / 0.01) ** 2
+        + np.minimum((np.maximum(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2, _MOST_UNEASE)
+    )
+
     def unease(recline: float) -> float:
         return float(((recline - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2)
 
     def best_at(recline: float) -> tuple[float, SeatSetting]:
-        fit = fit_seat(person, seat, recline)
-        hip = h_points + fit.seat_from_root[:3, 3]
-        leg = rp.hypot(*(ankle - hip)[:, [0, 2]].T)
-        knee = _flexion(thigh, shin, leg)
-        dorsiflexion = pad_angle - 0.5 * np.pi + _shin_angle(hip, ankle, thigh, shin, leg)
-        shoulder = h_points + fit.shoulders.mean(axis=0)
-        beside = wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
+        back = axis_rotation("y", seat.default.torso_angle - recline)
+        shoulder = h_points + at_hip + rp.matmul(back, fit.shoulders.mean(axis=0) - at_hip)
         elbow = _flexion(arm, forearm, rp.hypot(rp.hypot(*(grip - shoulder)[:, [0, 2]].T), beside) - _PALM_REACH_M)
+        front = at_hip + rp.matmul(fit.front - at_hip, back.T)
         gap = np.empty(len(place))
         for seat_height in heights:
             at = place[:, 0] == seat_height
-            level = np.abs(fit.front[:, 2] + h_points[at][0, 2] - rim_bottom[2]) < 0.06
-            gap[at] = rim_bottom[0] - h_points[at, 0] - fit.front[level, 0].max() if level.any() else 1.0
-        thigh_gap = _under_rim(hip, ankle, thigh, shin, rim_bottom, float(fit.thigh_top.max())) - wheel.rim_section_m
+            level = np.abs(front[:, 2] + h_points[at][0, 2] - rim_bottom[2]) < 0.06
+            gap[at] = rim_bottom[0] - h_points[at, 0] - front[level, 0].max() if level.any() else 1.0
         cost = (
-            ((knee - _KNEE) / _KNEE_SPREAD + _TASTE * taste) ** 2
+            common
             + ((elbow - _ELBOW) / _ELBOW_SPREAD + _TASTE * taste) ** 2
-            + ((dorsiflexion - _ANKLE) / _ANKLE_SPREAD + _TASTE * taste) ** 2
-            + (np.maximum(dorsiflexion - _BENT_ANKLE, 0.0) / _BENT_SPREAD) ** 2
-            + ((place[:, 0] - height) / _HEIGHT_SPREAD_M) ** 2
             + unease(recline)
             + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
-            + (np.maximum(leg - 0.985 * (thigh + shin), 0.0) / 0.01) ** 2
-            + np.minimum((np.maximum(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2, _MOST_UNEASE)
         )
         n = int(np.argmin(cost))
         return float(cost[n]), SeatSetting(float(place[n, 1]), float(place[n, 0]), recline)
