@@ -115,8 +115,8 @@ class Person:
 
     def skin_part(self, rows: NDArray[np.integer], fingers: Floats | None = None) -> Callable[[Floats, Matrix], Floats]:
         """What gives (q, vehicle_from_root) -> (R, 3) m, `pose(..., fingers).skin[rows]`, without the rest of the skin."""
-        index, weight = self._space.bone_index[rows], self._space.bone_weight[rows]
-        rest = self.rest_skin[None, rows]
+        index, weight, rest = self.skin_weights(rows)
+        rest = rest[None]
 
         def posed(q: Floats, vehicle_from_root: Matrix) -> Floats:
             transforms, out = np.empty((len(BONES), 3, 4)), np.empty_like(rest)
@@ -126,6 +126,10 @@ class Person:
             return out[0].astype(np.float64)
 
         return posed
+
+    def skin_weights(self, rows: NDArray[np.integer]) -> tuple[Bytes, Floats32, Floats32]:
+        """Of vertices of the skin (R,): bones (R, K) of `rig.BONES`, their weights (R, K), places at rest (R, 3) m."""
+        return self._space.bone_index[rows], self._space.bone_weight[rows], self.rest_skin[rows]
 
     @property
     def leading_bone(self) -> Bytes:

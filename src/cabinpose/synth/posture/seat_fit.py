@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Bools, Floats, Floats32, Ints, Matrix, axis_rotation, transform
+from cabinpose._native import pose as native
+from cabinpose.core import Bools, Bytes, Floats, Floats32, Ints, Matrix, axis_rotation, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, Person, vertex_segments
 from cabinpose.scene.cabin import Seat
@@ -154,9 +155,32 @@ def _lower_half(height: Floats, of: Bools) -> Ints:
     return which[there <= np.sort(there)[len(there) // 2]]
 
 
-def _lowest(values: Floats, count: int) -> float:
-    """The mean of the `count` least of (N,) values."""
-    return float(np.sort(values)[:count].mean())
+class Foam(NamedTuple):
+    """A seat, in its frame, and the skin that meets it: first that of the back, then that of seat and thighs.
+
+    q: (D,) rad, of which hips and knees follow the thighs · index, weight (R, K), rest (R, 3): of `Person.skin_weights` · n_back:
+    how many of the rows are of the back · thigh: (R - n_back,) which of the others are · normal: (3,) out of the backrest · up:
+    along the torso line · cushion: out of the cushion, whose free surface is at `free_cushion` along it · behind, sunk,
+    thighs_sunk: of the back along `normal`, of seat and thighs below the surface, m · size: stature against 1.75 m · femur: m ·
+    slides: whether the pelvis stays where it is, off the backrest.
+    """
+
+    q: Floats
+    index: Bytes
+    weight: Floats32
+    rest: Floats32
+    n_back: int
+    thigh: Bools
+    normal: Floats
+    up: Floats
+    cushion: Floats
+    free_cushion: float
+    behind: float
+    sunk: float
+    thighs_sunk: float
+    size: float
+    femur: float
+    slides: bool
 
 
 @kept_with_person
@@ -168,7 +192,6 @@ def _fit(
     up = np.array([-rp.sin(torso_angle), 0.0, rp.cos(torso_angle)])  # along the torso line
     normal = np.array([rp.cos(torso_angle), 0.0, rp.sin(torso_angle)])  # out of the backrest
     cushion = np.array([-rp.sin(cushion_angle), 0.0, rp.cos(cushion_angle)])
-    free_cushion = -below * cushion[2]
     size = person.stature_m / 1.75
     femur = person.segment_lengths["thigh"]
     slide = float(np.clip(front - 0.01 - femur, 0.0, _MAX_SLIDE_M))  # short thighs: knees to the edge
@@ -179,25 +202,14 @@ def _fit(
     # What meets backrest and cushion lies behind and below from the start: the rest need not be moved along.
     back = _lower_half(rp.matmul(skin, normal), mesh.trunk & (np.abs(skin[:, 1]) < 0.10 * size))
     bottom = _lower_half(rp.matmul(skin, cushion), mesh.seated)
-    back_skin, bottom_skin = person.skin_part(mesh.rows[back]), person.skin_part(mesh.rows[bottom])
-    thighs = mesh.thighs[bottom]
-    for _ in range(_ROUNDS):
-        q, root = _posture(pitch, thigh), _root(pitch, place)
-        skin = back_skin(q, root)
-        depth, height = rp.matmul(skin, normal), rp.matmul(skin, up)
-        lower = _lowest(depth[(height > -0.02) & (height < 0.17 * size)], 6)
-        upper = _lowest(depth[(height > 0.28 * size) & (height < 0.42 * size)], 6)
-        wanted = -(behind + sags[0])
-        skin = bottom_skin(q, root)
-        above, ahead = rp.matmul(skin, cushion) - free_cushion, skin[:, 0] - place[0]
-        if slide > 0.0:
-            pitch += (upper - wanted) / (0.35 * size)
-        else:
-            pitch += 0.9 * (upper + 0.006 - lower) / (0.27 * size)
-            place[0] += (wanted - lower) / normal[0]
-        place[2] -= _lowest(above[(ahead > -0.16) & (ahead < 0.08)], 8) + sags[1]
-        thigh -= 0.8 * (_lowest(above[thighs & (ahead > 0.45 * femur) & (ahead < 0.75 * femur)], 8) + sags[2]) / (0.6 * femur)
-        pitch, thigh = float(np.clip(pitch, -0.2, 1.1)), float(np.clip(thigh, -0.1, 0.7))
+    meets = person.skin_weights(mesh.rows[np.concatenate((back, bottom))])
+    foam = Foam(
+        _posture(pitch, thigh), *meets, len(back), mesh.thighs[bottom], normal, up, cushion,
+        -below * cushion[2], -(behind + sags[0]), sags[1], sags[2], size, femur, slide > 0.0,
+    )  # fmt: skip
+    state = np.array((pitch, thigh, *place))
+    native.sink(person.rest, foam, rounds=_ROUNDS, state=state)
+    pitch, thigh, place = float(state[0]), float(state[1]), state[2:]
 
     q, root = _posture(pitch, thigh), _root(pitch, place)
     skin = whole(q, root)

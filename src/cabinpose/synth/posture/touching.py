@@ -76,7 +76,8 @@ class _Meeting(NamedTuple):
         few = self.distance(shift, slice(None, None, _FEW))
         distance = self.distance(shift, seen_m=min(abs(float(few.min())) + _BESIDE_M + self.shell_m, _SEEN_M))
         point = int(np.argmin(distance))
-        sides = self._signed(self.points[point] + self.moving * (shift + _PROBES), _SEEN_M)
+        away = min(abs(float(distance[point])) + self.shell_m + 2.0 * _PROBE_M, _SEEN_M)
+        sides = self._signed(self.points[point] + self.moving * (shift + _PROBES), away)
         return float(distance[point]), np.array([sides[2 * axis] - sides[2 * axis + 1] for axis in range(3)])
 
 
