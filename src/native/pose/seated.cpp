@@ -39,8 +39,8 @@ void sink(const RestArrays& rest, const Foam& foam, int rounds, Array<double, 5>
     const double root[16] = {c, 0.0, -s, ahead, 0.0, 1.0, 0.0, state[3], s, 0.0, c, height, 0.0, 0.0, 0.0, 1.0};
     bone_frames(Posture(q.data()), rest, Placement(root), rotations, positions);
     skin_transforms(Posture(q.data()), rest, rotations, positions, skinned);
-    skin_layers({transforms.data(), {rig::n_bones, 3, 4}}, foam.index, foam.weight, {foam.rest.data(), {1, foam.rest.size(), 3}},
-                {skin.data(), {1, foam.rest.size(), 3}});
+    skin_layers({transforms.data(), {rig::n_bones, 3, 4}}, foam.skin_index, foam.skin_weight,
+                {foam.rest.data(), {1, foam.rest.size(), 3}}, {skin.data(), {1, foam.rest.size(), 3}});
     for (auto* each : {&lower, &upper, &seat, &thighs}) each->clear();
     for (Index n = 0; n < foam.rest.size(); ++n) {
       const Vec3 p = vec3(&skin[static_cast<std::size_t>(3 * n)]);

@@ -8,8 +8,8 @@ namespace cabinpose {
 /// Skin that meets a seat, and the seat, in the seat's frame: `synth.posture.seat_fit.Foam`, which says what each field holds.
 struct Foam {
   Array<const double, rig::n_dofs> q;
-  Array<const std::uint8_t, any, any> index;
-  Array<const float, any, any> weight;
+  Array<const std::uint8_t, any, any> skin_index;
+  Array<const float, any, any> skin_weight;
   Array<const float, any, 3> rest;
   Index n_back;
   Array<const bool, any> thigh;
@@ -17,8 +17,8 @@ struct Foam {
   double free_cushion, behind, sunk, thighs_sunk, size, femur;
   bool slides;
 
-  CABINPOSE_FIELDS(Foam, q, index, weight, rest, n_back, thigh, normal, up, cushion, free_cushion, behind, sunk, thighs_sunk,
-                   size, femur, slides)
+  CABINPOSE_FIELDS(Foam, q, skin_index, skin_weight, rest, n_back, thigh, normal, up, cushion, free_cushion, behind, sunk,
+                   thighs_sunk, size, femur, slides)
 };
 
 /// Sink into the foam, a number of rounds: `state` is pitch of the pelvis, angle of the thighs (rad), place of the root (m).

@@ -158,7 +158,7 @@ def _lower_half(height: Floats, of: Bools) -> Ints:
 class Foam(NamedTuple):
     """A seat, in its frame, and the skin that meets it: first that of the back, then that of seat and thighs.
 
-    q: (D,) rad, of which hips and knees follow the thighs · index, weight (R, K), rest (R, 3): of `Person.skin_weights` · n_back:
+    q: (D,) rad, of which hips and knees follow the thighs · skin_index, skin_weight (R, K), rest (R, 3): of `Person.skin_weights` · n_back:
     how many of the rows are of the back · thigh: (R - n_back,) which of the others are · normal: (3,) out of the backrest · up:
     along the torso line · cushion: out of the cushion, whose free surface is at `free_cushion` along it · behind, sunk,
     thighs_sunk: of the back along `normal`, of seat and thighs below the surface, m · size: stature against 1.75 m · femur: m ·
@@ -166,8 +166,8 @@ class Foam(NamedTuple):
     """
 
     q: Floats
-    index: Bytes
-    weight: Floats32
+    skin_index: Bytes
+    skin_weight: Floats32
     rest: Floats32
     n_back: int
     thigh: Bools
