@@ -33,9 +33,9 @@ AXIS_COLOURS = ((220, 40, 40), (40, 170, 60), (60, 110, 255))  # x to the front 
 SENSOR = "camera.sensor=pico_monstar_105/4"
 LEFT = "scene.right_hand_drive=0"
 FRONT_ROW, DRIVER = "camera.views={front_row: 1}", "camera.views={driver: 1}"
-# From between the front seats' tops on the rear ones, and on the right one of them.
-REAR_SEATS = "camera.views={rear_seats: {position_m: [-0.75, 0.0, 1.10], look_at_m: [-1.62, 0.0, 0.40]}}"
-REAR_RIGHT = "camera.views={rear_right: {position_m: [-0.95, -0.15, 1.00], look_at_m: [-1.55, -0.38, 0.45]}}"
+# Of the rear seats from between the front ones, of the right one and the floor before it from above the bench.
+REAR_SEATS = "camera.views={rear_seats: {position_m: [-1.00, 0.0, 1.12], look_at_m: [-1.66, 0.0, 0.50]}}"
+REAR_RIGHT = "camera.views={rear_right: {position_m: [-1.70, 0.20, 1.15], look_at_m: [-1.30, -0.38, 0.40]}}"
 PAIR, ALONE = "scene.occupancy={driver: 1, front_passenger: 1}", "scene.occupancy={driver: 1}"
 FULL = "scene.occupancy={driver: 1, front_passenger: 1, rear_left: 1, rear_center: 1, rear_right: 1}"
 ACTIONS = ("drive", "drive_one_hand", "reach_infotainment", "gear", "phone_text", "phone_ear_outer", "rest_lap", "armrest")
@@ -127,15 +127,15 @@ def children() -> list[Cell]:
 
 def infants() -> list[Cell]:
     """Infants in carriers, and children without a seat."""
-    rear = ("scene.cars=[suv]", LEFT, ALONE, REAR_SEATS, SENSOR, "scene.infants=1")
-    near = (*(REAR_RIGHT if row == REAR_SEATS else row for row in rear), "scene.child_seats={rear_right: infant}")
+    car = ("scene.cars=[suv]", LEFT, "scene.occupancy={rear_center: 0.001}", SENSOR, "scene.infants=1", "scene.belted=1")
+    carrier = (*car, REAR_RIGHT, "scene.child_seats={rear_right: infant}")
     return [
-        Cell("an infant, buckled up", (*near, "scene.belted=1"), 1),
-        Cell("under a blanket", (*near, "scene.objects={rear_right: {blanket: 1}}"), 2),
-        Cell("two carriers", (*rear, "scene.child_seats={rear_left: infant, rear_right: infant}", "scene.belted=1"), 3),
-        Cell("standing", (*rear, "scene.loose_children={rear_center: child_stand}"), 4),
-        Cell("lying on the bench", (*rear, "scene.loose_children={rear_right: child_lie}"), 5),
-        Cell("in the footwell", (*rear, "scene.loose_children={rear_right: child_footwell}"), 6),
+        Cell("an infant, buckled up", carrier, 1),
+        Cell("under a blanket", (*carrier, "scene.objects={rear_right: {blanket: 1}}"), 2),
+        Cell("two carriers", (*car, REAR_SEATS, "scene.child_seats={rear_left: infant, rear_right: infant}"), 3),
+        Cell("standing", (*car, REAR_SEATS, "scene.loose_children={rear_center: child_stand}"), 4),
+        Cell("lying on the bench", (*car, REAR_SEATS, "scene.loose_children={rear_right: child_lie}"), 5),
+        Cell("in the footwell", (*car, REAR_RIGHT, "scene.loose_children={rear_right: child_footwell}"), 6),
     ]
 
 
