@@ -33,6 +33,9 @@ AXIS_COLOURS = ((220, 40, 40), (40, 170, 60), (60, 110, 255))  # x to the front 
 SENSOR = "camera.sensor=pico_monstar_105/4"
 LEFT = "scene.right_hand_drive=0"
 FRONT_ROW, DRIVER = "camera.views={front_row: 1}", "camera.views={driver: 1}"
+# Of the rear seats from between the front ones, of the right one and the floor before it from above the bench.
+REAR_SEATS = "camera.views={rear_seats: {position_m: [-1.00, 0.0, 1.12], look_at_m: [-1.66, 0.0, 0.50]}}"
+REAR_RIGHT = "camera.views={rear_right: {position_m: [-1.70, 0.20, 1.15], look_at_m: [-1.30, -0.38, 0.40]}}"
 PAIR, ALONE = "scene.occupancy={driver: 1, front_passenger: 1}", "scene.occupancy={driver: 1}"
 FULL = "scene.occupancy={driver: 1, front_passenger: 1, rear_left: 1, rear_center: 1, rear_right: 1}"
 ACTIONS = ("drive", "drive_one_hand", "reach_infotainment", "gear", "phone_text", "phone_ear_outer", "rest_lap", "armrest")
@@ -99,6 +102,40 @@ def things() -> list[Cell]:
         Cell("on laps", (*full, laps), 6),
         Cell("drink, read", (*pair, "scene.motion={driver: {drink: 1}, front_passenger: {read: 1}}"), 5),
         Cell("text, telephone", (*pair, "scene.motion={driver: {phone_text: 1}, front_passenger: {phone_ear: 1}}"), 8),
+    ]
+
+
+def children() -> list[Cell]:
+    """Children in child seats, and how belts and harnesses hold them."""
+    rear = ("scene.cars=[suv]", LEFT, ALONE, REAR_SEATS, SENSOR, "scene.children=1", "scene.infants=1")
+    both = (*rear, "scene.child_seats={rear_left: booster, rear_right: toddler}")
+    return [
+        Cell("booster, toddler seat", (*both, "scene.belted=1"), 1),
+        Cell("a harness undone", (*both, "scene.belted=0"), 2),
+        Cell("booster cushions, belt under the arm", (
+            *rear, "scene.child_seats={rear_left: booster_cushion, rear_right: booster_cushion}", "scene.belted=1",
+            "scene.belt_misuse={under_arm: 1}",
+        ), 3),
+        Cell("seats held by the belt", (
+            *rear, "scene.child_seats={rear_left: infant, rear_right: toddler}", "scene.children=0", "scene.infants=0",
+            "scene.attachments={belt: 1}",
+        ), 4),
+        Cell("toddlers", (*both, "scene.child_seats={rear_left: toddler, rear_right: toddler}", "scene.toddlers=1"), 5),
+        Cell("jackets on seats", (*both, "scene.objects={rear_center: {jacket: 1}}"), 6),
+    ]  # fmt: skip
+
+
+def infants() -> list[Cell]:
+    """Infants in carriers, and children without a seat."""
+    car = ("scene.cars=[suv]", LEFT, "scene.occupancy={rear_center: 0.001}", SENSOR, "scene.infants=1", "scene.belted=1")
+    carrier = (*car, REAR_RIGHT, "scene.child_seats={rear_right: infant}")
+    return [
+        Cell("an infant, buckled up", carrier, 1),
+        Cell("under a blanket", (*carrier, "scene.objects={rear_right: {blanket: 1}}"), 2),
+        Cell("two carriers", (*car, REAR_SEATS, "scene.child_seats={rear_left: infant, rear_right: infant}"), 3),
+        Cell("standing", (*car, REAR_SEATS, "scene.loose_children={rear_center: child_stand}"), 4),
+        Cell("lying on the bench", (*car, REAR_SEATS, "scene.loose_children={rear_right: child_lie}"), 5),
+        Cell("in the footwell", (*car, REAR_RIGHT, "scene.loose_children={rear_right: child_footwell}"), 6),
     ]
 
 
@@ -307,6 +344,8 @@ def main() -> None:
         "people": grid(wrapped([(cell.caption, skeleton_panel(frame_of(cell))) for cell in people()])),
         "closeups": grid(wrapped([(cell.caption, plain_panel(frame_of(cell))) for cell in closeups()])),
         "things": grid([row for half in wrapped(things(), 3) for row in with_labels(half)]),
+        "children": grid([row for half in wrapped(children(), 3) for row in with_labels(half)]),
+        "infants": grid([row for half in wrapped(infants(), 3) for row in with_labels(half)]),
         "sensors": grid(pair_rows(sensors())),
         "room": room(),
         "sequences": sequences(),

@@ -79,6 +79,39 @@ def test_a_child_sits_on_the_cushion_and_in_nothing(kind: str, slot: str) -> Non
     assert -0.028 < under.min() < 0.002  # on the padding, or pressed into it
 
 
+def test_shins_hang_clear_of_the_front_of_a_child_seat_and_most_poses_hold() -> None:
+    """Of a toddler and of a child on a booster; with shins straight below the knees half of the poses were refused."""
+    seats = {"rear_left": "toddler", "rear_right": "booster"}
+    scene = SUV | {"child_seats": seats, "occupants": {slot: {} for slot in seats}, "toddlers": 0.5}
+    sampler = SceneSampler(SynthConfig.parse({"scene": scene}), 0)
+    people = judged = 0
+    for index in range(8):
+        found = sampler.sample(index, rng=frame_rng(0, index))
+        people, judged = people + len(found.people), judged + found.judged
+        for who in found.people:
+            on = next(t for t in found.things if t.slot == who.slot)
+            assert on.thing.sitting is not None
+            ankles = apply(invert(on.vehicle_from_thing), who.posed.joints[CABINPOSE.indices(("lankle", "rankle"))])
+            assert ankles[:, 0].min() > on.thing.sitting.front_m
+    assert people / judged > 0.7
+
+
+def test_a_driver_makes_room_for_the_feet_of_a_child_behind() -> None:
+    """Of a tall driver, whose seat varies with nothing but who is there; the feet stay behind the driver's backrest."""
+    fore_aft = {}
+    for behind, seats in (("nobody", {}), ("child", {"rear_left": "booster"})):
+        scene = SUV | {
+            "cars": ["sedan"],
+            "seat_variation": 0.0,
+            "children": 1.0,
+            "child_seats": seats,
+            "occupancy": {"driver": 1.0},
+        }
+        settings = SynthConfig.parse({"scene": scene, "people": {"subjects": ["S04"]}})
+        fore_aft[behind] = SceneSampler(settings, 0).sample(0, rng=frame_rng(0, 0)).settings["driver"].fore_aft_m
+    assert 0.01 < fore_aft["child"] - fore_aft["nobody"] < 0.081
+
+
 @pytest.mark.parametrize("kind", ["booster", "booster_cushion"])
 def test_the_belt_crosses_the_middle_of_a_childs_shoulder_and_lies_low(kind: str) -> None:
     _, child = drawn(kind, "rear_left", seed=3, belted=1.0, motion={"rear_left": {"rest_lap": 1.0}})

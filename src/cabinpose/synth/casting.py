@@ -11,7 +11,7 @@ import numpy as np
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError
 from cabinpose.scene.body import DOFS, Person, PosedBody
 from cabinpose.scene.cabin import Cabin, SeatSetting
-from cabinpose.scene.things import VARIANTS, PlacedThing
+from cabinpose.scene.things import VARIANTS, PlacedThing, cushion_frame
 from cabinpose.synth.cars import place_name
 from cabinpose.synth.config import CabinScene
 from cabinpose.synth.occupant import ExactPose
@@ -36,6 +36,7 @@ from cabinpose.synth.validate import Validator
 
 SITS_YEARS = 1.0  # from when on a child sits on a car's own seat (assumed: of those who are there, few do)
 _FOR_LEGS_M = 0.08  # by which a front passenger's seat is slid forwards for a child behind it
+_TOES_M, _BACKREST_M = 0.68, 0.11  # of a child in a child seat, from the backrest; depth of the backrest before it
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,14 +213,21 @@ def _in_use(child_seats: Mapping[str, str], names: Collection[str]) -> dict[str,
 
 
 def _moved_forwards(cabin: Cabin, slot: str, settings: Mapping[str, SeatSetting]) -> dict[str, SeatSetting]:
-    """The front passenger's seat where it is before a child's: slid forwards, to make room for legs that cannot hang straight."""
-    seat, front = cabin.seats[slot], cabin.seats.get("front_passenger")
-    if front is None or "front_passenger" not in settings or not slot.startswith("rear"):
+    """The front seat where it is before a child's: slid forwards, to make room for legs that cannot hang straight.
+
+    The front passenger's by all that is given, the driver's by what the child's feet need of it.
+    """
+    seat = cabin.seats[slot]
+    before = (s for s in ("front_passenger", "driver") if s in settings and slot.startswith("rear") and s in cabin.seats)
+    name = next((s for s in before if float(cabin.seats[s].design_h_point[1] * seat.design_h_point[1]) > 0.0), None)
+    if name is None:
         return {}
-    if float(front.design_h_point[1] * seat.design_h_point[1]) <= 0.0:
-        return {}
-    setting = settings["front_passenger"]
-    return {"front_passenger": replace(setting, fore_aft_m=min(setting.fore_aft_m + _FOR_LEGS_M, front.ranges[1].fore_aft_m))}
+    front, setting, moved = cabin.seats[name], settings[name], _FOR_LEGS_M
+    if name == "driver":
+        back = float(front.h_point(setting)[0]) - front.backrest_behind_h_m - _BACKREST_M
+        toes = float(cushion_frame(seat, settings.get(slot, seat.default))[0, 3]) + _TOES_M
+        moved = min(max(toes - back, 0.0), _FOR_LEGS_M)
+    return {name: replace(setting, fore_aft_m=min(setting.fore_aft_m + moved, front.ranges[1].fore_aft_m))}
 
 
 def _exact_pose(pose: ExactPose, action: str) -> OccupantPose:

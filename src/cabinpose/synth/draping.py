@@ -125,7 +125,7 @@ def draped(kind: str, variant: int, ground: Ground, below: Sequence[Surface]) ->
         ]
         folds = sum(_FOLD_M * (1.0 + rp.sin(a * px + b * py + phase + k)) for k, (a, b) in enumerate(_FOLDS))
         low = np.max(corners, axis=0) + folds + above
-        return slab(*(np.stack((px, py, low + up), axis=-1) for up in (0.0, thick))).outward()
+        return slab(*(np.stack((px, py, low + up), axis=-1) for up in (0.0, thick)))
 
     pieces = [cloth(start, end, -half, half)]
     if row.sleeves:

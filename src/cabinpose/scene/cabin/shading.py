@@ -11,6 +11,7 @@ from cabinpose.scene.labels import LABEL_ID as LABEL
 from cabinpose.scene.materials import MATERIAL_ID as MATERIAL
 from cabinpose.scene.surface import Surface
 
+_ROUNDING = 1e-9
 CREASE = np.deg2rad(50.0)  # two faces that meet at more than this are an edge, not a curve
 
 
@@ -42,20 +43,29 @@ def to_surface(solid: Solid, label: str, material: str, crease: float = CREASE) 
     )
     weight = rp.arccos(np.clip(cosine, -1, 1)).reshape(-1)
 
-    order = np.argsort(corner_vertex, kind="stable")
-    counts = np.bincount(corner_vertex, minlength=len(vertices))
+    # By axes, as rows of three are slow to gather.
+    normal = np.ascontiguousarray(unit.T[:, corner_face])  # (3, corners)
+    pull = normal * weight
+    around = np.stack([np.bincount(corner_vertex, each, minlength=len(vertices)) for each in pull])  # (3, V), of all corners
+    middle = around / np.maximum(np.linalg.norm(around, axis=0), 1e-30)
+    # Around a vertex of which every normal is within half the crease of their middle, all pairs of corners agree.
+    apart = (normal * middle[:, corner_vertex]).sum(axis=0) < rp.cos(0.5 * crease) + _ROUNDING
+    creased = np.bincount(corner_vertex, apart, minlength=len(vertices)) > 0.0
+    total = around.T[corner_vertex]
+    corners = np.flatnonzero(creased[corner_vertex])
+    of_creased = corner_vertex[corners]
+    order = corners[np.argsort(of_creased, kind="stable")]
+    counts = np.bincount(of_creased, minlength=len(vertices))
     starts = np.cumsum(counts) - counts
     # All ordered pairs of corners at one vertex.
     repeats = counts[corner_vertex[order]]
     first = np.repeat(order, repeats)
     within = np.arange(len(first)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
     second = order[np.repeat(starts[corner_vertex[order]], repeats) + within]
-    # By axes, as rows of three are slow to gather.
-    normal = np.ascontiguousarray(unit.T[:, corner_face])  # (3, corners)
     x, y, z = (axis[first] * axis[second] for axis in normal)
     near = x + y + z > rp.cos(crease)
     at, of = first[near], second[near]
-    total = np.stack([np.bincount(at, pull[of], minlength=len(corner_vertex)) for pull in normal * weight], axis=1)
+    total[corners] = np.stack([np.bincount(at, each[of], minlength=len(corner_vertex)) for each in pull], axis=1)[corners]
     length = np.linalg.norm(total, axis=1, keepdims=True)
     normals = np.where(length > 1e-12, total / np.maximum(length, 1e-30), unit[corner_face])
 

@@ -25,6 +25,7 @@ _REST_M, _POST_M = (0.250, 0.045, 0.030), 0.055  # of an armrest, long, wide, th
 _GUIDE_M = (0.105, 0.176, 0.017)  # the opening behind the post, above the cushion: x, y, z
 _TILTED_RAD, _TILTED_ABOUT, _TILTED_BACK_M = np.radians(16.0), (0.25, 0.13), 0.045  # of a carrier in use, (x, z) m
 _LINER, _SHELL = (0.0, 0.022), (0.020, 0.040)  # padding over the shell that carries it
+_TODDLER_RIM = (0.370, 0.194)  # where a toddler seat's shell ends, (x, z) m: the padding before it is soft to the calves
 
 
 class Sitting(NamedTuple):
@@ -149,7 +150,7 @@ def _toddler(variant: int) -> tuple[Piece, ...]:
             (0.400, 0.205)]  # fmt: skip
     half = (0.125, 0.150, 0.155, 0.150, 0.150, 0.160, 0.160, 0.140)
     wall = (0.140, 0.165, 0.130, 0.080, 0.075, 0.100, 0.090, 0.030)
-    carrier = [(0.010, 0.0), (0.400, 0.0), (0.430, 0.040), (0.400, 0.160), (0.230, 0.130), (0.110, 0.150), (0.030, 0.300),
+    carrier = [(0.010, 0.0), (0.370, 0.0), (0.400, 0.040), (0.370, 0.160), (0.230, 0.130), (0.110, 0.150), (0.030, 0.300),
                (-0.020, 0.500), (-0.060, 0.500), (-0.030, 0.200)]  # fmt: skip
     straps = [
         _ribbon([(0.036, s * 0.050, 0.475), (0.068, s * 0.052, 0.360), (0.108, s * 0.048, 0.265), (0.170, s * 0.030, 0.215),
@@ -159,7 +160,7 @@ def _toddler(variant: int) -> tuple[Piece, ...]:
     buckle = rounded_box((0.055, 0.050, 0.022), 0.008, (1, 1, 1), corner=1).shifted(0.235, 0.0, 0.196)
     headrest = rounded_box((0.030, 0.200, 0.150), 0.014, (1, 2, 2), corner=1).turned("y", -0.22).shifted(0.018, 0.0, 0.560)
     pieces = (
-        Piece("shell", shell(seat, half, wall, _SHELL), "hard_plastic"),
+        Piece("shell", shell([*seat[:-1], _TODDLER_RIM], half, (*wall[:-1], 0.050), _SHELL), "hard_plastic"),
         Piece("padding", shell(seat, half, wall, _LINER), "seat_fabric", PADDING_M),
         Piece("headrest", headrest, "synthetic_fabric", PADDING_M),
         Piece("harness", join(straps), "belt_webbing", PADDING_M),

@@ -19,6 +19,8 @@ from cabinpose.synth.streams import own_rng
 _ON_CUSHION = math.radians(54.0)  # lean of a shin at which the thigh stays on the cushion of a low seat
 _OVER_TUNNEL_M = 0.10  # feet of a middle seat stand on both sides of the tunnel
 _KNEES_IN_M = 0.02  # of a child, against those of somebody on a wide cushion
+# By how much the knees of a child in a child seat differ at most (assumed): closer, and of one leg to the inside and the outside.
+_CLOSER_M, _KNEE_IN, _KNEE_OUT = 0.01, math.radians(3.0), math.radians(1.0)
 
 
 class LegStance(NamedTuple):
@@ -125,5 +127,6 @@ def _at_pedals(seat: Seat, cabin: Cabin, chance: float, left: float, draws: Floa
 
 
 def _hanging(plan: FootPlan, rests: bool) -> FootPlan:
-    """The foot of a child whose shins hang over a cushion: not drawn back into it, the knees between the `rests` of its seat."""
-    return plan._replace(forward=max(plan.forward, 0.0), out=min(plan.out, 0.0) - _KNEES_IN_M if rests else plan.out)
+    """The foot of a child whose shins hang over a cushion: not drawn back into it, the knees between the `rests` or walls."""
+    out, knee_out = min(max(plan.out, -_CLOSER_M), 0.0), min(max(plan.knee_out, -_KNEE_IN), _KNEE_OUT)
+    return plan._replace(forward=max(plan.forward, 0.0), out=out - _KNEES_IN_M if rests else out, knee_out=knee_out)

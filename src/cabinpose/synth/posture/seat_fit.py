@@ -32,6 +32,7 @@ _ABDUCTION = np.radians(7.0)  # of the thighs, at rest
 _CUSHION_FRONT_M = 0.375  # front edge of production cushions ahead of the H-point
 _EDGES_M = 0.37, 0.33  # where those of front and rear seats are round
 _IN_CAR = _CUSHION_FRONT_M, _ON_FOAM
+_BEFORE_EDGE_M, _BEFORE_RIM_M = 0.08, 0.10  # of the ankles of shins whose calves lie over a car's cushion, over a child seat
 _MAX_SLIDE_M = 0.12
 _ROUNDS = 7
 _COMMON_SEAT = (0.25, 0.058, 0.095, 0.42)  # angle of the cushion, H-point above it and before the back, torso angle (rad, m)
@@ -45,8 +46,8 @@ class SeatFit:
 
     q: (D,) rad, trunk as seated, shanks hanging, arms down · seat_from_root: (4, 4) · thigh_angle: of the femur above the
     horizontal while the thigh rests on the cushion, rad · shoulders: (2, 3) · front: (N, 3) float32 skin of belly and chest ·
-    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee · edge_m: x of the edge of the
-    car's cushion, over which shins hang of somebody in a child seat; -inf where thighs end at it.
+    thigh_top: (11,) height of the skin above the femur's axis, from hip to knee · edge_m: x before which the ankles of
+    somebody in a child seat do not hang, over its front and that of the car's cushion; -inf where thighs end at that.
     """
 
     q: Floats
@@ -107,6 +108,8 @@ def fit_child_seat(person: Person, seat: Seat, torso_angle: float, sitting: Sitt
     moved = fit.seat_from_root.copy()
     moved[:3, 3] += hip
     skin, edge = fit.front + hip.astype(np.float32), _EDGES_M[seat.slot.startswith("rear")]
+    rim = float(rp.matmul(seat_from_thing, (sitting.front_m, 0.0, 0.0, 1.0))[0])
+    edge = max(edge + _BEFORE_EDGE_M, rim + _BEFORE_RIM_M)
     return replace(fit, seat_from_root=moved, shoulders=fit.shoulders + hip, front=skin, edge_m=edge)
 
 
