@@ -192,9 +192,18 @@ def regripped(clock: float, wheel_angle: float) -> float:
 def fingers_on_rim(noise: tuple[float, ...], rim: float) -> Floats:
     """The same around a rim, none tighter than the curl `rim` that holds it; some index fingers lie along it."""
     rng = _own_rng(noise)
+    return _fingers(rim - _loose(rng), 0.85, rng)
+
+
+def loose_on_rim(noise: tuple[float, ...]) -> Floats:
+    """(5,) how much less the fingers of `fingers_on_rim` are curled than they could be, thumb to little finger."""
+    return _loose(_own_rng(noise))
+
+
+def _loose(rng: np.random.Generator) -> Floats:
     loose = np.abs(rng.standard_normal(5)) * (0.03, 0.05, 0.025, 0.025, 0.04)
     loose[1] += 0.15 * (rng.random() < 0.15)
-    return _fingers(rim - loose, 0.85, rng)
+    return loose
 
 
 class Lying(NamedTuple):
