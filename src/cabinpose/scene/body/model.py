@@ -176,9 +176,9 @@ def _with_fingers(rest: RestArrays, q: Floats, fingers: Floats | None) -> RestAr
             rp.matmul(rest.finger_axes.reshape(2, 5, 3, 3)[side, 1:, 0], across) * rest.finger_curl.reshape(2, 5, 3)[side, 1:, 0]
         )
         turns[side, 1:, 0] += ((share[side, 15] / CLOSING - share[side, 3:15:3]) * closing)[:, None] * across
-    turns = turns.reshape(-1, 3)
-    angle = np.linalg.norm(turns, axis=1)
-    return rest._replace(finger_axes=turns / np.maximum(angle, 1e-12)[:, None], finger_curl=angle)
+    flat = turns.reshape(-1, 3)
+    angle = np.linalg.norm(flat, axis=1)
+    return rest._replace(finger_axes=flat / np.maximum(angle, 1e-12)[:, None], finger_curl=angle)
 
 
 class PosedBody:
