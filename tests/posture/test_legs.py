@@ -148,7 +148,7 @@ def test_front_seats_leave_room_for_long_legs(people: Mapping[str, Person]) -> N
 def test_crossed_thighs_lie_on_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """In scenes that the contact test lets pass one knee is well above the other, its foot past the other's; few are refused."""
     monkeypatch.setattr(legs, "STANCES", {"thighs crossed": STANCES["thighs crossed"]})
-    scene = {"kind": "cabin", "cars": ["suv"], "occupants": {"front_passenger": {"action": "rest_lap"}}, "occupancy": {}}
+    scene = {"kind": "cabin", "cars": ["suv"], "occupants": {"front_passenger": {"action": "phone_text"}}, "occupancy": {}}
     sampler = SceneSampler(SynthConfig.model_validate({"scene": scene}), 5)
     scenes = [sampler.sample(k, rng=frame_rng(5, k)) for k in range(6)]
     sides = set()

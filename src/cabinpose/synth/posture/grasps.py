@@ -260,13 +260,15 @@ class _Chain(NamedTuple):
 def _chains(person: Person, side: int) -> tuple[_Chain, ...]:
     """Of index to little finger."""
     rest, s, bone = person.rest, 1.0 - 2.0 * side, BONE_INDEX["lr"[side] + "hand"]
+    hand = np.flatnonzero(person.skin_segment == SEGMENTS.index("lr"[side] + "hand"))
+    leading, every = person.leading_bone[hand], rp.matmul(person.rest_skin[hand] - rest.heads[bone], rest.frames[bone])
     result = []
     for finger, most in enumerate(_MOST_KNUCKLE, 2):
         bones = [BONE_INDEX[f"{'lr'[side]}finger{finger}_{phalanx}"] for phalanx in (1, 2, 3)]
         heads = rp.matmul(rest.heads[bones] - rest.heads[bone], rest.frames[bone])
         joints, thick = (-heads[:, 2] - 1j * s * heads[:, 1]).tolist(), []
         for k, phalanx in enumerate(bones):
-            skin = rp.matmul(person.rest_skin[person.leading_bone == phalanx] - rest.heads[bone], rest.frames[bone])
+            skin = every[leading == phalanx]
             local = -skin[:, 2] - 1j * s * skin[:, 1] - joints[k]
             if k == 2:
                 joints.append(joints[2] + complex(local.real.max(), local.imag.mean()))

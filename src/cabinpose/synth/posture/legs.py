@@ -39,12 +39,12 @@ _BACK = math.radians(21.0)
 # than find room; how both divide is assumed.
 STANCES: Mapping[str, LegStance] = MappingProxyType(
     {
-        "resting": LegStance(0.49, (_ON_CUSHION, _ON_CUSHION)),
+        "resting": LegStance(0.47, (_ON_CUSHION, _ON_CUSHION)),
         "drawn back": LegStance(0.14, (_BACK, _BACK)),
         "one drawn back": LegStance(0.15, (_BACK, _ON_CUSHION)),
         "one stretched": LegStance(0.11, (_ON_CUSHION, _ON_CUSHION), (0.07, -0.07)),
         "ankles crossed": LegStance(0.07, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
-        "thighs crossed": LegStance(0.04, (_ON_CUSHION, _ON_CUSHION), over=True),
+        "thighs crossed": LegStance(0.06, (_ON_CUSHION, _ON_CUSHION), over=True),
     }
 )
 _ROOMY = frozenset({"ankles crossed", "thighs crossed"})  # not behind another seat, nor beside or opposite somebody
@@ -96,6 +96,12 @@ def leg_plans(seated: SeatContext, *, rng: np.random.Generator) -> tuple[FootPla
         return plans[0], plans[1]
     rests = seated.on.thing.sitting is not None and not seated.on.thing.sitting.harness
     return _hanging(plans[0], rests), _hanging(plans[1], rests)
+
+
+def uncrossed(plans: tuple[FootPlan, FootPlan]) -> tuple[FootPlan, FootPlan]:
+    """The same legs beside each other, neither over the other one."""
+    left, right = (plan._replace(out=0.0, over=False) for plan in plans)
+    return left, right
 
 
 def _legs(seated: SeatContext, chance: float) -> LegStance:

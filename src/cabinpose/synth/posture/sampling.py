@@ -24,9 +24,9 @@ from cabinpose.synth.posture.gaze import head_goal
 from cabinpose.synth.posture.goals import TASKS, HandGoal, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.intents import carrying, holding, intents, with_fingers
-from cabinpose.synth.posture.legs import leg_plans
+from cabinpose.synth.posture.legs import leg_plans, uncrossed
 from cabinpose.synth.posture.neighbours import NOBODY, Neighbours
-from cabinpose.synth.posture.places import Hand, Reach
+from cabinpose.synth.posture.places import THIGH, Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.posture.touching import Touch, meet
 from cabinpose.synth.profiles import Profile
@@ -181,7 +181,10 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     root = seated.vehicle_from_root(drawn_angle(action.pelvis, rng=rng))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
-    feet = foot_goals(seated, root, leg_plans(seated, rng=rng))
+    plans = leg_plans(seated, rng=rng)
+    if any(plan.over and hands[1 - side].place is THIGH for side, plan in enumerate(plans)):
+        plans = uncrossed(plans)  # a hand on the lower thigh would lie between the two
+    feet = foot_goals(seated, root, plans)
     q, slumped = seated.fit.q.copy(), _SLUMPED if seated.on is None else 1.0
     slump = _move_trunk(q, action, side_sign, slumped, rng)
     if seated.on is None:  # a child seat's back leaves no room for it
