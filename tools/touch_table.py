@@ -9,6 +9,10 @@ the triangles of the other, exact. A row of the table has the median and the 90 
 in which it is at most 10 mm with no point deeper than flesh gives way (8 mm), the median and the greatest depth (mm), the fingers
 of the nearer hand that are within 5 mm (of 5), and how many poses were drawn for one that holds. Hair gives way: depths are
 those in the skin under it.
+
+A second table is of hands at the steering wheel's rim, of scenes and of frames of sequences half a second apart: in what share of
+them the skin of the last phalanges of at least three fingers, the thumb's among them, is within 10 mm of the rim and nothing of
+the hand deeper in it than 8 mm.
 """
 
 from __future__ import annotations
@@ -30,11 +34,15 @@ from cabinpose.scene import LABEL_ID, Surface, merge
 from cabinpose.scene.body import BONE_INDEX, SEGMENTS
 from cabinpose.scene.contact import FLESH_M, TriangleMesh, triangle_mesh
 from cabinpose.synth.config import SynthConfig
+from cabinpose.synth.motion.ways import rim_distance
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene, ScenePerson
 from cabinpose.synth.streams import frame_rng
 
 NEAR_M, FINGER_M = 0.010, 0.005
+_HOLDING_M, _PADS = 0.030, 3  # of a palm's origin from the rim's axis; fingers around it
+_STEER = {"frames": 90, "rate_hz": 30.0, "activities": ["steer"]}
+_STEER_APART = 15  # frames
 _KNOB_M = 0.035  # of a knob from its middle
 _FAR_M = 0.40  # gaps are measured up to here
 _APART = 17  # frames
@@ -191,6 +199,56 @@ def measure(row: Row, scene: Scene) -> Measured | None:
     return Measured(gap, depth, nearer.fingers)
 
 
+class Grips(NamedTuple):
+    """Of the hands at the rim in a scene: fingers whose last phalanx is near it, depth (m) in it."""
+
+    pads: list[int]
+    depth_m: list[float]
+
+
+def grips(scene: Scene) -> Grips:
+    """How the driver's hands hold the rim, those that do."""
+    person = next(p for p in scene.people if p.slot == "driver")
+    assert scene.cabin is not None
+    wheel = scene.cabin.steering_wheel
+    assert wheel is not None
+    rim, skin = mesh_of(part("steering wheel rim")(scene, person)), person.posed.skin.astype(np.float64)
+    leading, found = person.person.leading_bone, Grips([], [])
+    for side in "lr":
+        if rim_distance(wheel, person.posed.palms[side][:3, 3]) > _HOLDING_M:
+            continue
+        hand = skin[person.person.skin_segment == SEGMENTS.index(side + "hand")]
+        last = [skin[leading == BONE_INDEX[f"{side}finger{number}_3"]] for number in range(1, 6)]
+        found.pads.append(sum(float(rim.signed_distance(pad, 2 * NEAR_M).min()) <= NEAR_M for pad in last))
+        found.depth_m.append(max(-float(rim.signed_distance(hand, 2 * NEAR_M).min()), 0.0))
+    return found
+
+
+def rim_table(scenes: int, seed: int, cars: tuple[str, ...]) -> dict[str, Any]:
+    """Figures of hands at the rim, by action; `steer` is of sequences."""
+    result = {}
+    for action in ("drive", "drive_one_hand", "steer"):
+        driver: dict[str, Any] = {"belted": True} | ({"action": action} if action != "steer" else {})
+        scene = {"kind": "cabin", "occupants": {"driver": driver}, "occupancy": {}, "cars": cars}
+        scene |= {"sequence": _STEER} if action == "steer" else {}
+        sampler = SceneSampler(SynthConfig.model_validate({"scene": scene}), seed)
+        pads, depth = list[int](), list[float]()
+        apart = _STEER_APART if action == "steer" else _APART
+        for index in range(0, apart * scenes, apart):
+            try:
+                found = grips(sampler.sample(index, rng=frame_rng(seed, index)))
+            except SceneError:
+                continue
+            pads += found.pads
+            depth += found.depth_m
+        held = (np.array(pads) >= _PADS) & (np.array(depth) <= FLESH_M)
+        result[action] = {
+            "hands": len(pads), "held": round(float(held.mean()), 3), "pads": round(float(np.mean(pads)), 2),
+            "depth_median_mm": round(1000 * float(np.median(depth)), 1), "depth_max_mm": round(1000 * max(depth), 1),
+        }  # fmt: skip
+    return result
+
+
 def draw(row: Row, scenes: int, seed: int, cars: tuple[str, ...]) -> dict[str, Any]:
     """A row's figures over some scenes."""
     wanted = {"occupants": {row.slot: {"action": row.action, "belted": True}}, "occupancy": {}, "cars": cars, "in_hand": 1.0}
@@ -239,9 +297,18 @@ def main() -> None:
                 f"{r['depth_max_mm']:7.1f}{r['fingers']:9.0f}{r['poses_per_scene']:7.2f}",
                 file=sys.stderr, flush=True,
             )  # fmt: skip
-    text = json.dumps(
-        {"version": cabinpose.__version__, "seed": arguments.seed, "scenes": arguments.scenes, "rows": result}, indent=1
-    )
+        rim = (
+            {}
+            if arguments.only and "rim" not in arguments.only
+            else rim_table(arguments.scenes, arguments.seed, tuple(arguments.cars))
+        )
+    for action, r in rim.items():
+        print(
+            f"rim, {action:33}{r['hands']:8}{r['held']:9.2f}{r['pads']:7.1f}{r['depth_median_mm']:7.1f}{r['depth_max_mm']:7.1f}",
+            file=sys.stderr,
+        )
+    about = {"version": cabinpose.__version__, "seed": arguments.seed, "scenes": arguments.scenes}
+    text = json.dumps({**about, "rows": result, "rim": rim}, indent=1)
     if arguments.out:
         arguments.out.write_text(text + "\n", encoding="utf-8")
     else:

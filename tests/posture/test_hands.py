@@ -9,7 +9,7 @@ from seated_posture import solve_posture
 
 from cabinpose.core.frames import apply, invert
 from cabinpose.scene import labels
-from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, SUBJECTS, BodyModel, Person
+from cabinpose.scene.body import DOF_INDEX, DOFS, SEGMENTS, SUBJECTS, BodyModel, Person, by_phalanx
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.synth.posture.hands import BY_GRIP, lying
@@ -56,6 +56,19 @@ def test_fingers_close_up_side_by_side(somebody: Person) -> None:
         np.testing.assert_allclose(hand.skin[right], posed(somebody, 0.2, None).skin[right], atol=1e-6)
     assert breadth[0] - breadth[1] > 0.01
     assert breadth[1] - breadth[2] > 0.01
+
+
+def test_each_phalanx_bends_by_itself(somebody: Person) -> None:
+    """Told of each phalanx, fingers are as told of each finger; a last phalanx that bends alone turns its own skin only."""
+    told = np.array([[0.1, 0.3, 0.2, 0.4, 0.5, 0.8], [np.nan] * 6])
+    np.testing.assert_array_equal(posed(somebody, 0.2, by_phalanx(told)).skin, posed(somebody, 0.2, told).skin)
+    one = by_phalanx(told).copy()
+    one[0, 5] += 0.5  # the last one of the index finger, by 35 deg
+    moved = np.linalg.norm(posed(somebody, 0.2, one).skin - posed(somebody, 0.2, told).skin, axis=1)
+    last = somebody.leading_bone == BONE_INDEX["lfinger2_3"]
+    assert moved[last].max() > 0.005
+    assert moved[somebody.leading_bone == BONE_INDEX["lfinger2_1"]].max() < 1e-6
+    assert moved[somebody.leading_bone == BONE_INDEX["lfinger3_3"]].max() < 1e-6
 
 
 @pytest.mark.parametrize("name", ["S01", "S03", "S05"])

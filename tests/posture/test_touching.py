@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cabinpose.scene.body import DOF_INDEX, SEGMENTS
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, SEGMENTS, by_phalanx
 from cabinpose.scene.contact import FLESH_M
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.posture.hands import clocks, regripped, turned_wheel
@@ -93,3 +93,22 @@ def test_no_hand_is_carried_below_the_rims_middle() -> None:
     for angle in np.radians(np.linspace(-450.0, 450.0, 181)):
         for clock in np.radians((90.0, 60.0, -60.0, -90.0)):
             assert abs(regripped(clock, angle)) <= np.radians(125.0)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_fingers_close_around_a_rim(side: int) -> None:
+    """The skin, posed again, against a tube around a ring: pulps lie at it, and nothing is deeper in it than flesh gives way."""
+    scene = scene_of("driver", "drive")
+    assert scene.cabin is not None
+    assert scene.cabin.steering_wheel is not None
+    who, wheel, hand = scene.people[0], scene.cabin.steering_wheel, "lr"[side]
+    x, y, z = ((who.posed.skin - wheel.vehicle_from_wheel[:3, 3]) @ wheel.vehicle_from_wheel[:3, :3]).T
+    from_rim = np.hypot(np.hypot(x, y) - wheel.rim_radius_m, z) - wheel.rim_section_m
+    leading = who.person.leading_bone
+    pulps = [from_rim[leading == BONE_INDEX[f"{hand}finger{finger}_3"]].min() for finger in range(1, 6)]
+    assert from_rim[who.person.skin_segment == SEGMENTS.index(hand + "hand")].min() >= -FLESH_M
+    assert np.sum(np.array(pulps) < 0.010) >= 3
+    fingers = by_phalanx(who.posed.fingers)[side, 3:15].reshape(4, 3)
+    assert (fingers >= 0.0).all()
+    assert (fingers <= 1.0).all()
+    assert who.posed.q[DOF_INDEX[hand + "hand.grip"]] == pytest.approx(fingers.mean())

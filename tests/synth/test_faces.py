@@ -89,6 +89,27 @@ def test_a_hand_at_the_mouth_has_a_still_face_behind_it(scene: Scene) -> None:
     assert {face.expression for face in faces} == {"neutral"}
 
 
+def test_an_expression_fades_while_a_hand_comes_to_the_face(scene: Scene) -> None:
+    """A hand at 1 m/s, 30 frames a second: no unit and no lid changes by more than a third of all it does; none at the mouth."""
+    driver, way = scene.people[0], np.arange(0.55, 0.10, -1.0 / 30.0)
+    drawn = (with_faces([driver], {}, scene.cabin, seed=1, number=n)[0].face for n in range(200))
+    number = next(n for n, face in enumerate(drawn) if face.expression == "laughing")
+    kept, faces = driver.posed.palms["l"][:3, 3].copy(), []
+    try:
+        for away_m in way:
+            driver.posed.palms["l"][:3, 3] = driver.posed.eyes_m + (away_m, 0.0, 0.0)
+            faces.append(with_faces([driver], {}, scene.cabin, seed=1, number=number)[0].face)
+    finally:
+        driver.posed.palms["l"][:3, 3] = kept
+    shares = np.array([[*(dict(face.units).get(unit, 0.0) for unit, _ in faces[0].units), face.lids[0]] for face in faces])
+    assert (np.abs(np.diff(shares, axis=0)).max(axis=0) <= np.ptp(shares, axis=0) / 3.0).all()
+    assert (np.ptp(shares, axis=0) > 0.05).all()
+    assert (np.diff(shares[:, :-1], axis=0) <= 0.0).all()
+    assert not shares[-1, :-1].any()
+    assert [face.expression for face in faces] == sorted((face.expression for face in faces), key=["laughing", "neutral"].index)
+    assert {face.expression for face in faces} == {"laughing", "neutral"}
+
+
 def test_eyes_turn_no_farther_than_they_can(scene: Scene) -> None:
     """A head that is about to turn to the back: the eyes wait at 55 deg."""
     driver = scene.people[0]

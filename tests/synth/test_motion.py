@@ -242,9 +242,9 @@ def test_fingers_open_before_they_close_and_follow_the_grip_otherwise() -> None:
     assert held.curl(0.6, 0.3) is None
     assert held.curl(6.4, 0.3) is None
     for time_s in (2.0, 3.0, 5.0):
-        np.testing.assert_array_equal(held.curl(time_s, 0.3), grasp.curl)
+        np.testing.assert_array_equal(held.curl(time_s, 0.3), np.repeat(grasp.curl, 3))
     for time_s in (2.0 - CLOSING_S - 0.5, 2.0 - CLOSING_S, 5.0 + CLOSING_S, 5.0 + CLOSING_S + 0.5):
-        np.testing.assert_allclose(held.curl(time_s, 0.3), OPEN_HAND, atol=1e-9)
+        np.testing.assert_allclose(held.curl(time_s, 0.3), np.repeat(OPEN_HAND, 3), atol=1e-9)
     curls = np.stack([held.curl(t, 0.3) for t in np.linspace(0.71, 2.0, 200)])
     assert np.abs(np.diff(curls, axis=0)).max() / (1.29 / 199) < 10.0
 
@@ -535,16 +535,12 @@ def test_hands_open_before_they_leave_the_wheel_and_close_once_they_are_there() 
     assert between[:, 0].max() <= 0.2 + 1e-12
     assert np.abs(between[np.linspace(0.0, 1.0, 400) > way.x[1], 0] - 0.2).max() < 1e-9
     film = _sampler(activities=["look_over_shoulder"])._films.film(0)
-    driver, left = film.tracks["driver"], 0
+    driver, left, opened = film.tracks["driver"], 0, np.repeat(OPEN_HAND, 3)
     for segment in driver.segments:
         knots = segment.way(segment.way.x)
-        fingers = knots[:, -12:].reshape(-1, 2, 6)
+        fingers = knots[:, -32:].reshape(-1, 2, 16)
         for side in (0, 1):
-            if (
-                len(knots) > 2
-                and np.allclose(fingers[1, side, :5], OPEN_HAND)
-                and not np.allclose(fingers[0, side, :5], OPEN_HAND)
-            ):
+            if len(knots) > 2 and np.allclose(fingers[1, side, :15], opened) and not np.allclose(fingers[0, side, :15], opened):
                 np.testing.assert_allclose(knots[1, _ARMS], knots[0, _ARMS], atol=1e-9)  # it has not moved yet
                 left += 1
     assert left

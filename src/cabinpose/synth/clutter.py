@@ -272,7 +272,7 @@ def _middle(cabin: Cabin, name: str, parts: Mapping[str, Part]) -> Floats | None
             return np.array((targets["infotainment"][0] + 0.10, _BESIDE_SCREEN_M * driver, high[2] + 0.1))
         case "phone_on_screen":
             glass = parts["windscreen"].surface.vertices
-            height = float(high[2]) + 0.06
+            height = float(high[2]) + 0.088  # a telephone upright, clear of the dashboard
             at_height = glass[np.abs(glass[:, 2] - height) < _BAND_M]
             return None if not len(at_height) else np.array((float(at_height[:, 0].min()) - 0.16, 0.20 * driver, height))
         case "shelf":

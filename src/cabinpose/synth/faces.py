@@ -52,7 +52,9 @@ _DROWSY, _DROWSY_LIDS, _AWAKE_LIDS = 0.02, (0.3, 0.6), (0.85, 1.0)
 DROWSY_OPENING = 0.7  # of the lids, below which somebody awake is drowsy
 # By which eyes turn in the head: 55 deg to the sides as Guitton & Volle 1987 are quoted, up and down: all assumed.
 _SIDEWAYS, _UP, _DOWN = math.radians(55.0), math.radians(35.0), math.radians(45.0)
-_BUSY_MOUTH_M = 0.25  # from the eyes to a palm, of a hand at the mouth or the face, which then is neutral (assumed)
+# From the eyes to a palm, of a hand at the mouth or the face, which then is neutral; and how much farther away a hand leaves the
+# whole expression, so that none stops from one frame of a sequence to the next (assumed).
+_BUSY_MOUTH_M, _FADING_M = 0.25, 0.20
 _TALKS_YEARS = 1.0
 _DRAWS = 16
 
@@ -79,23 +81,27 @@ def _drawn(person: ScenePerson, cabin: Cabin | None, *, rng: np.random.Generator
     ends = np.cumsum([each.share for each in among.values()])
     name = list(among)[int(np.searchsorted(ends / ends[-1], u[0], side="right"))]
     posed = person.posed
-    if min(rp.norm(posed.palms[side][:3, 3] - posed.eyes_m) for side in "lr") < _BUSY_MOUTH_M:
+    away_m = min(rp.norm(posed.palms[side][:3, 3] - posed.eyes_m) for side in "lr")
+    left = min(max((away_m - _BUSY_MOUTH_M) / _FADING_M, 0.0), 1.0)
+    left *= left * (3.0 - 2.0 * left)
+    if left == 0.0:
         name = "neutral"
     if name == "talking" and person.person.phenotype.years < _TALKS_YEARS:
         name = "neutral"
     units = []
     for k, (unit, (low, high)) in enumerate(among[name].units.items()):
-        share = low + u[3 + k] * (high - low)
+        share = left * (low + u[3 + k] * (high - low))
         if unit in load_faces().units:
             units.append((unit, share))
             continue
         differ = _SIDES_DIFFER * (u[8 + k] - 0.5)
         units += [(f"{unit}Left", share * (1.0 + differ)), (f"{unit}Right", share * (1.0 - differ))]
+    shown = name if left >= 0.5 else "neutral"
     if asleep:
-        return Face(lids=(0.0, 0.0), expression=name, units=tuple(units))
+        return Face(lids=(0.0, 0.0), expression=shown, units=tuple(units))
     low, high = _DROWSY_LIDS if u[1] < _DROWSY else _AWAKE_LIDS
-    opening = (low + u[2] * (high - low)) * among[name].lids
-    return Face(_gaze(person, cabin), (opening, opening), name, tuple(units))
+    opening = (low + u[2] * (high - low)) * (1.0 + left * (among[name].lids - 1.0))
+    return Face(_gaze(person, cabin), (opening, opening), shown, tuple(units))
 
 
 def _gaze(person: ScenePerson, cabin: Cabin | None) -> tuple[float, float, float]:

@@ -89,8 +89,8 @@ class ExactPose(ExactSetting):
     fingers: tuple[tuple[float | None, ...], ...] | None = Field(
         None,
         exclude_if=lambda fingers: fingers is None,
-        description="Of the left and the right hand: curl of each finger, thumb first, and how far they are closed (0..1), where"
-        " they do not follow the grip.",
+        description="Of the left and the right hand: curl of each finger, or each phalanx, thumb first, and how far they are"
+        " closed (0..1), where they do not follow the grip.",
     )
 
     face: ExactFace | None = Field(None, exclude_if=lambda face: face is None, description="What it does; left out: drawn.")

@@ -10,6 +10,7 @@ from .model import BodyModel as BodyModel
 from .model import Build as Build
 from .model import Person as Person
 from .model import PosedBody as PosedBody
+from .model import by_phalanx as by_phalanx
 from .outfit import Outfit as Outfit
 from .outfit import hair_shares as hair_shares
 from .outfit import worn as worn

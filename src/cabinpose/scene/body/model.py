@@ -141,7 +141,7 @@ class Person:
         """The person in a pose: q (D,) rad in the order of `DOFS`, root = pelvis frame at the H-point.
 
         fingers: (2, 5) curl of the left and right hand's fingers, thumb first, where they do not follow the grip (NaN: they do);
-        or (2, 6), with how far the fingers are closed up, 0 spread to 1 side by side.
+        or (2, 6), with how far the fingers are closed up, 0 spread to 1 side by side; or (2, 16), the same of each phalanx.
         """
         return PosedBody(self, checked(q), np.ascontiguousarray(vehicle_from_root, np.float64), fingers)
 
@@ -154,25 +154,35 @@ def checked(q: Floats) -> Floats:
     return result
 
 
+def by_phalanx(fingers: Floats) -> Floats:
+    """(2, 16) fingers as `Person.pose` takes them: curl of each phalanx, thumb first, from the knuckle on; how far closed up."""
+    if fingers.shape[1] == 16:
+        return fingers
+    closed = fingers[:, 5:] if fingers.shape[1] == 6 else np.full((2, 1), np.nan)
+    return np.concatenate((np.repeat(fingers[:, :5], 3, axis=1), closed), axis=1)
+
+
 def _with_fingers(rest: RestArrays, q: Floats, fingers: Floats | None) -> RestArrays:
     """The skeleton with fingers that bend as `Person.pose` takes them: the kernel curls each by its hand's grip."""
     if fingers is None:
         return rest
+    fingers = by_phalanx(fingers)
     grips = np.maximum(q[[DOF_INDEX["lhand.grip"], DOF_INDEX["rhand.grip"]], None], 1e-6)
     share = np.where(np.isnan(fingers), 1.0, fingers / grips)
-    curl = rest.finger_curl.reshape(2, 5, 3) * share[:, :5, None]
-    if fingers.shape[1] == 5:
+    curl = rest.finger_curl.reshape(2, 15) * share[:, :15]
+    closing_up = np.flatnonzero(~np.isnan(fingers[:, 15]))
+    if not len(closing_up):
         return rest._replace(finger_curl=curl.reshape(-1))
-    turns = rest.finger_axes.reshape(2, 5, 3, 3) * curl[..., None]
-    for side in np.flatnonzero(~np.isnan(fingers[:, 5])):  # knuckles turn about the hand's y axis, not in step with the curl
+    turns = (rest.finger_axes.reshape(2, 15, 3) * curl[..., None]).reshape(2, 5, 3, 3)
+    for side in closing_up:  # knuckles turn about the hand's y axis, not in step with the curl
         across = rest.frames[BONE_INDEX["lr"[side] + "hand"]][:, 1]
         closing = (
             rp.matmul(rest.finger_axes.reshape(2, 5, 3, 3)[side, 1:, 0], across) * rest.finger_curl.reshape(2, 5, 3)[side, 1:, 0]
         )
-        turns[side, 1:, 0] += ((share[side, 5] / CLOSING - share[side, 1:5]) * closing)[:, None] * across
-    turns = turns.reshape(-1, 3)
-    angle = np.linalg.norm(turns, axis=1)
-    return rest._replace(finger_axes=turns / np.maximum(angle, 1e-12)[:, None], finger_curl=angle)
+        turns[side, 1:, 0] += ((share[side, 15] / CLOSING - share[side, 3:15:3]) * closing)[:, None] * across
+    flat = turns.reshape(-1, 3)
+    angle = np.linalg.norm(flat, axis=1)
+    return rest._replace(finger_axes=flat / np.maximum(angle, 1e-12)[:, None], finger_curl=angle)
 
 
 class PosedBody:

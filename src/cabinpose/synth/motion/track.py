@@ -1,6 +1,6 @@
 """The motion of one person: poses, ways between them, and the breathing on top.
 
-A state is a row of 63 numbers: the degrees of freedom (rad), the pelvis' place (m) and its turn since the start (rotation vector,
+A state is a row of 83 numbers: the degrees of freedom (rad), the pelvis' place (m) and its turn since the start (rotation vector,
 rad), the angle of the wheel that the person holds (rad), and the fingers of both hands, as `Person.pose` takes them.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from cabinpose.core import Floats, Matrix, rotation_vector, transform
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import CLOSING, DOF_INDEX, DOFS, LOWER, UPPER, Person, PosedBody
+from cabinpose.scene.body import CLOSING, DOF_INDEX, DOFS, LOWER, UPPER, Person, PosedBody, by_phalanx
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, FASTEST_GRIP, progress, progress_rate
 from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 _Q = len(DOFS)
 ROOT, WHEEL = slice(_Q, _Q + 6), _Q + 6
-FINGERS = slice(_Q + 7, _Q + 19)
-WIDTH = _Q + 19
+FINGERS = slice(_Q + 7, _Q + 39)
+WIDTH = _Q + 39
 _COMFORT = 0.15  # of the fastest, at the peak of an unhurried movement
 _FASTEST_ROOT = np.concatenate((np.full(3, 1.5), np.full(3, np.radians(280.0))))  # m/s and rad/s, with the trunk
 _FASTEST_FINGERS = 2.0 * FASTEST_GRIP  # from open to fist, 1/s: unhurried ones take half a second (assumed)
 _FASTEST_WHEEL = 2.0 * np.pi  # rad/s; the arms that hold it have limits of their own
-FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL], np.full(12, _FASTEST_FINGERS)))
+FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL], np.full(32, _FASTEST_FINGERS)))
 _SHORTEST_S = 0.35
 CLOSING_S, _OPEN_S = 0.25, 0.8  # in which fingers open, and close around something; for which they stay open before and after
 _GRIPS = [DOF_INDEX[side + "hand.grip"] for side in "lr"]
@@ -44,7 +44,7 @@ _DENSE = np.linspace(0.0, 1.0, 61)
 class Pose(NamedTuple):
     """Where somebody is: q (D,) rad, root `vehicle_from_root` (4, 4), wheel_angle (rad).
 
-    fingers: (2, 6) as `Person.pose` takes them, None where all follow the grip.
+    fingers: (2, 16) or fewer as `Person.pose` takes them, None where all follow the grip.
     """
 
     q: Floats
@@ -54,7 +54,7 @@ class Pose(NamedTuple):
 
 
 def way_through(states: Floats) -> PPoly:
-    """The way 0..1 through states (K, 63), without overshoot; each piece is as long as its slowest joint takes.
+    """The way 0..1 through states (K, 83), without overshoot; each piece is as long as its slowest joint takes.
 
     A spline that swings beyond its points would press a hand that is about to let go into what it holds.
     """
@@ -85,11 +85,11 @@ class Segment(NamedTuple):
 
     @property
     def last(self) -> Floats:
-        """(63,) where it ends."""
+        """(83,) where it ends."""
         return np.asarray(self.way(self.lasts_s if self.evenly else 1.0))
 
     def states(self, times_s: Floats) -> Floats:
-        """(N, 63) states at times (N,) s from its start on."""
+        """(N, 83) states at times (N,) s from its start on."""
         since_s = times_s - self.start_s
         return np.asarray(self.way(np.clip(since_s, 0.0, self.lasts_s) if self.evenly else progress(since_s / self.lasts_s)))
 
@@ -112,7 +112,7 @@ class Idle(NamedTuple):
         return Idle(rng.uniform(0.2, 0.33), float(breath), rng.uniform(0.15, 0.3), sway, (phases[0], phases[1], phases[2]))
 
     def added(self, times_s: Floats, share: float) -> Floats:
-        """(N, 63) what it adds to a state at times (N,); `share` of it all. The upper arms and the head stay level."""
+        """(N, 83) what it adds to a state at times (N,); `share` of it all. The upper arms and the head stay level."""
         result = np.zeros((len(times_s), WIDTH))
         breath = share * self.breath * rp.sin(2.0 * np.pi * self.breath_hz * times_s + self.phases[0])
         result[:, DOF_INDEX["thorax.flexion"]] = breath
@@ -132,13 +132,14 @@ class Held(NamedTuple):
     end_s: float = math.inf
 
     def curl(self, time_s: float, free: Floats) -> Floats | None:
-        """(5,) curl of the fingers, None where it is as without it, `free` (5,): they open before they close, and afterwards."""
+        """(15,) curl of the phalanges, None where it is as without it, `free` (15,): they open before they close, and later."""
         away_s = max(self.start_s - time_s, time_s - self.end_s, 0.0)
         if away_s >= 2.0 * CLOSING_S + _OPEN_S:
             return None
         share = np.array([2.0 * CLOSING_S + _OPEN_S - away_s, CLOSING_S - away_s]) / CLOSING_S
         opened, closed = progress(share).tolist()
-        return closed * self.hold.grasp.curl + (1.0 - closed) * (opened * OPEN_HAND + (1.0 - opened) * free)
+        grasp, opening = np.repeat((self.hold.grasp.curl, OPEN_HAND), 3, axis=1)
+        return closed * grasp + (1.0 - closed) * (opened * opening + (1.0 - opened) * free)
 
 
 class Buckling(NamedTuple):
@@ -171,24 +172,24 @@ class Track:
 
     @property
     def last(self) -> Floats:
-        """(63,) the state at which the last segment ends."""
+        """(83,) the state at which the last segment ends."""
         return self.segments[-1].last if self.segments else self._first
 
     def state_of(self, pose: Pose) -> Floats:
-        """(63,) the state of a pose."""
+        """(83,) the state of a pose."""
         turned = _rotation_log(rp.matmul(self._rotation.T, pose.root[:3, :3]))
         fingers = _fingers(pose.q, pose.fingers).reshape(-1)
         return np.concatenate((pose.q, pose.root[:3, 3], turned, [pose.wheel_angle], fingers))
 
     def pose_of(self, state: Floats) -> Pose:
-        """The pose of a state (63,), within the joints' limits."""
+        """The pose of a state (83,), within the joints' limits."""
         root = transform(rp.matmul(self._rotation, rotation_vector(state[ROOT][3:])), state[ROOT][:3])
         q = np.clip(state[:_Q], LOWER, UPPER)
         q[_GRIPS] = np.maximum(q[_GRIPS], _LEAST_GRIP)
-        return Pose(q, root, float(state[WHEEL]), np.clip(state[FINGERS].reshape(2, 6), *_CURL))
+        return Pose(q, root, float(state[WHEEL]), np.clip(state[FINGERS].reshape(2, 16), *_CURL))
 
     def states(self, times_s: Floats) -> Floats:
-        """(N, 63) states at times (N,) s, breathing included."""
+        """(N, 83) states at times (N,) s, breathing included."""
         result = np.tile(self._first, (len(times_s), 1))
         for segment in self.segments:
             since = times_s >= segment.start_s
@@ -204,7 +205,7 @@ class Track:
         fingers = _fingers(pose.q, pose.fingers)
         for held in self.holds:
             side = held.hold.side
-            curl = held.curl(time_s, fingers[side, :5])
+            curl = held.curl(time_s, fingers[side, :15])
             if curl is not None:
                 fingers[side] = *curl, np.nan  # grasps are found with fingers that close up as they curl
         return person.pose(pose.q, pose.root, fingers)
@@ -235,15 +236,13 @@ class Track:
 
 
 def _fingers(q: Floats, fingers: Floats | None) -> Floats:
-    """(2, 6) fingers of a pose, those that follow the grip as they do."""
+    """(2, 16) fingers of a pose, those that follow the grip as they do."""
     grip = q[_GRIPS, None]
-    by_grip = np.concatenate((np.repeat(grip, 5, axis=1), CLOSING * grip), axis=1)
+    by_grip = np.concatenate((np.repeat(grip, 15, axis=1), CLOSING * grip), axis=1)
     if fingers is None:
         return by_grip
-    known = np.full((2, 6), np.nan)
-    known[:, : fingers.shape[1]] = fingers
-    closed = CLOSING * np.nanmean(np.where(np.isnan(known), by_grip, known)[:, 1:5], axis=1)
-    by_grip[:, 5] = closed
+    known = by_phalanx(fingers)
+    by_grip[:, 15] = CLOSING * np.nanmean(np.where(np.isnan(known), by_grip, known)[:, 3:15], axis=1)
     return np.where(np.isnan(known), by_grip, known)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cabinpose.core import CABINPOSE, Floats, Matrix, invert, nearest_rigid, transform
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import DOF_INDEX, Person
+from cabinpose.scene.body import DOF_INDEX, Person, by_phalanx
 from cabinpose.scene.cabin import Cabin, SteeringWheel
 from cabinpose.synth.motion.track import Pose, Track
 from cabinpose.synth.posture.goals import between as on_the_way
@@ -63,7 +63,7 @@ class Ways:
         self._slot, self._person, self._around = slot, person, around
 
     def between(self, track: Track, now: Goal, goal: Goal, interior: int, time_s: float) -> Floats:
-        """(K, 63) states from one pose to another, with poses in between that the solver finds.
+        """(K, 83) states from one pose to another, with poses in between that the solver finds.
 
         Hands that let go open and come off what they hold before they go anywhere; those that take hold come to it open.
         """
@@ -165,11 +165,9 @@ def rim_distance(wheel: SteeringWheel, point: Floats) -> float:
 
 
 def _opened(pose: Pose, sides: Iterable[int]) -> Floats:
-    """(2, 6) the fingers of a pose, those of some hands wide open."""
-    fingers = np.full((2, 6), np.nan)
-    if pose.fingers is not None:
-        fingers[:, : pose.fingers.shape[1]] = pose.fingers
-    fingers[list(sides)] = *OPEN_HAND, _SPREAD
+    """(2, 16) the fingers of a pose, those of some hands wide open."""
+    fingers = np.full((2, 16), np.nan) if pose.fingers is None else by_phalanx(pose.fingers).copy()
+    fingers[list(sides)] = *np.repeat(OPEN_HAND, 3), _SPREAD
     return fingers
 
 

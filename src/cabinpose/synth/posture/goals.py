@@ -12,7 +12,7 @@ from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, DOFS, LOWER, UPPER, Person
 from cabinpose.scene.cabin import Seat
 from cabinpose.synth.posture.context import Trunk
-from cabinpose.synth.posture.feet import FootGoal
+from cabinpose.synth.posture.feet import LEG_STIFFNESS, FootGoal
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.hands import LimbTask
 from cabinpose.synth.posture.solver import Goals, Sitter, solve
@@ -20,8 +20,6 @@ from cabinpose.synth.posture.solver import Goals, Sitter, solve
 TASKS = ("lhand", "rhand", "lfoot", "rfoot", "head")
 # Weights of departing from the comfortable posture, 1/rad, against those of 1 m: a trunk that follows its hands and gives way.
 _OF_JOINT = {"lumbar": 0.2, "thorax": 0.2, "neck": 0.05, "head": 0.04, "head.flexion": 0.09, "lclavicle": 0.08, "rclavicle": 0.08}
-_LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.03])
-_PEDAL_LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.03, 0.03])  # an ankle that is not bent to its limit
 _STIFFNESS = np.array([_OF_JOINT.get(dof.name, _OF_JOINT.get(dof.name.split(".")[0], 0.0)) for dof in DOFS])
 _ROOT_WEIGHT = np.array([10.0, 4.0, 20.0, 1.5, 1.5, 1.0])  # a pelvis hardly leaves its cushion, and slides and turns before
 _STANDING_LEG = np.radians((8.0, 4.0, 0.0, 12.0, 4.0, 0.0))
@@ -71,13 +69,14 @@ def sitter(trunk: Trunk, hands: tuple[HandGoal, HandGoal], feet: tuple[FootGoal,
         rows.append(("lr"[side] + "hand", person.rest.palms[side], base, target, weight))
     for side, foot in enumerate(feet):
         leg = slice(_LEG[side], _LEG[side] + 6)
-        q[leg], stiffness[leg] = foot.prior, _PEDAL_LEG_STIFFNESS if foot.must else _LEG_STIFFNESS
-        rows.append(("lr"[side] + "foot", foot.tool, "", foot.target, foot.weight))
+        q[leg], stiffness[leg] = foot.prior, foot.stiffness
+        rows.append(("lr"[side] + foot.bone, foot.tool, foot.base, foot.target, foot.weight))
     rows.append(("head", np.eye(4), "", head, _ON_GAZE))
     q = np.clip(q, LOWER, UPPER)
     goals = Goals(q, stiffness, LOWER, UPPER, trunk.root, _ROOT_WEIGHT, *_arrays(rows))
     holds = hands[0].holds_wheel, hands[1].holds_wheel
     middle, crossed = float(seat.design_h_point[1]), _crossed(trunk.root, feet[0].target, feet[1].target)
+    crossed = crossed or any(foot.base for foot in feet)
     return Sitter(person, seat.slot, goals, q.copy(), trunk.root.copy(), holds, middle=middle, crossed=crossed)
 
 
@@ -124,13 +123,16 @@ def staying(chosen: Sitter, q: Floats, root: Matrix, side: int, holds: tuple[boo
     posed = chosen.person.pose(q, root)
     q[grip] = chosen.q[grip]
     posture, stiffness, target, weight = (v.copy() for v in (q, goals.stiffness, goals.target, goals.weight))
-    base = goals.base.copy()
+    base, bone, tool = goals.base.copy(), goals.bone.copy(), goals.tool.copy()
     posture[mine : mine + 7] = goals.posture[mine : mine + 7]
     for row, place in ((1 - side, posed.palms["rl"[side]]), (2, posed.soles["l"]), (3, posed.soles["r"])):
         target[row], weight[row], base[row] = place, _STAYS, -1
+    for row, foot in ((2, "l"), (3, "r")):  # also of a leg that lies over the other one
+        bone[row], tool[row] = BONE_INDEX[foot + "foot"], chosen.person.rest.soles["lr".index(foot)]
     for first, count in ((_ARM[1 - side], 7), (_LEG[0], 6), (_LEG[1], 6)):
         stiffness[first : first + count] = _HELD_LIMB
     goals = goals._replace(posture=posture, stiffness=stiffness, root=root, target=target, weight=weight, base=base)
+    goals = goals._replace(bone=bone, tool=tool)
     stay = holds[0] and side != 0, holds[1] and side != 1
     return chosen._replace(goals=goals, q=q, root=root.copy(), holds=stay)
 
@@ -166,7 +168,7 @@ def stand_on(person: Person, q: Floats, root: Matrix, feet: list[tuple[int, Matr
     posture, stiffness, lower, upper = q.copy(), np.zeros(len(q)), q.copy(), q.copy()
     for side, target in feet:
         leg = slice(_LEG[side], _LEG[side] + 6)
-        posture[leg], stiffness[leg], lower[leg], upper[leg] = _STANDING_LEG, _LEG_STIFFNESS, LOWER[leg], UPPER[leg]
+        posture[leg], stiffness[leg], lower[leg], upper[leg] = _STANDING_LEG, LEG_STIFFNESS, LOWER[leg], UPPER[leg]
         rows.append(("lr"[side] + "foot", person.rest.soles[side], "", target, _ON_GROUND))
     goals = Goals(posture, stiffness, lower, upper, root, np.full(6, 1e3), *_arrays(rows))
     q[:] = at_goals(Sitter(person, "", goals, posture, root))

@@ -7,6 +7,7 @@ the thing is taken. A hand that hardly touches it cannot hold it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ import numpy as np
 from cabinpose.core import Bools, ConfigError, Floats, Floats32, Ints, Matrix, SceneError, apply, invert, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, LOWER, SEGMENTS, Person, PosedBody
+from cabinpose.scene.cabin import SteeringWheel
 from cabinpose.scene.contact import TriangleMesh
 from cabinpose.scene.things import OBJECTS, THINGS, VARIANTS, Cloud, PlacedThing, Thing, felt, let_down, make_thing, stands_free
 from cabinpose.synth.posture.actions import Action
@@ -33,6 +35,10 @@ _FARTHEST_M, _NEAREST_M = 0.075, -0.03  # of the thing's middle before the palm'
 _ONE_SIDED = 0.85  # length of the mean direction to where a hand touches: 0.64 for half of a cylinder, 1 for one side
 _COARSE = 4  # curls at a time
 _EVERY = 2  # of the hand's vertices
+# Of a full curl around a rim: knuckles of index to little finger, PIP joint, DIP joint beyond that; what share of the way to
+# the rim each joint goes, so that knuckles leave some of it to the next ones (assumed).
+_MOST_KNUCKLE, _MOST_PIP, _BEYOND_PIP, _OF_CONTACT = (0.6, 0.6, 0.7, 0.85), 0.85, 0.35, (0.8, 1.0, 0.9)
+_PULP_FROM = 0.3  # of a phalanx: the skin before that is a web's, or a palm's
 
 
 class Grasp(NamedTuple):
@@ -234,6 +240,100 @@ def fingers_closed_on(
             first = max(last - _COARSE, 0)
             curl[finger] = _CURLS[start + max(first + int(met(slice(first, last + 1))[0]) - 1, 0)]
     return curl
+
+
+class _Chain(NamedTuple):
+    """A finger of a flat hand in the plane in which it bends, where a + bi is a m along the hand and b m out of the palm.
+
+    aside: m of the plane, x of the hand's bone · joints: MCP, PIP, DIP joint and tip · thick: m from each phalanx's axis to its
+    skin · full: rad of each joint at a full curl · most: of that, of the knuckle around a rim.
+    """
+
+    aside: float
+    joints: tuple[complex, ...]
+    thick: tuple[float, ...]
+    full: tuple[float, ...]
+    most: float
+
+
+@kept_with_person
+def _chains(person: Person, side: int) -> tuple[_Chain, ...]:
+    """Of index to little finger."""
+    rest, s, bone = person.rest, 1.0 - 2.0 * side, BONE_INDEX["lr"[side] + "hand"]
+    hand = np.flatnonzero(person.skin_segment == SEGMENTS.index("lr"[side] + "hand"))
+    leading, every = person.leading_bone[hand], rp.matmul(person.rest_skin[hand] - rest.heads[bone], rest.frames[bone])
+    result = []
+    for finger, most in enumerate(_MOST_KNUCKLE, 2):
+        bones = [BONE_INDEX[f"{'lr'[side]}finger{finger}_{phalanx}"] for phalanx in (1, 2, 3)]
+        heads = rp.matmul(rest.heads[bones] - rest.heads[bone], rest.frames[bone])
+        joints, thick = (-heads[:, 2] - 1j * s * heads[:, 1]).tolist(), []
+        for k, phalanx in enumerate(bones):
+            skin = every[leading == phalanx]
+            local = -skin[:, 2] - 1j * s * skin[:, 1] - joints[k]
+            if k == 2:
+                joints.append(joints[2] + complex(local.real.max(), local.imag.mean()))
+            along = joints[k + 1] - joints[k]
+            local = local * along.conjugate() / _length(along)
+            thick.append(float(local.imag[local.real > _PULP_FROM * _length(along)].max()))
+        turns = rest.finger_axes[[b - BONE_INDEX["lfinger1_1"] for b in bones]]
+        full = np.abs(rp.matmul(turns, rest.frames[bone][:, 0])) * rest.finger_curl[[b - BONE_INDEX["lfinger1_1"] for b in bones]]
+        result.append(_Chain(float(heads[0, 0]), tuple(joints), tuple(thick), tuple(full.tolist()), most))
+    return tuple(result)
+
+
+def fingers_around_rim(person: Person, wheel: SteeringWheel, vehicle_from_hand: Matrix, side: int) -> Floats:
+    """(4, 3) curl of the phalanges of index to little finger that close around a wheel's rim, joint after joint from the knuckle.
+
+    Each phalanx bends until it touches the rim, in the plane in which its finger bends, or as far as hands bend it.
+    side: 0 left, 1 right · vehicle_from_hand: of that hand's bone, (4, 4).
+    """
+    s, radius = 1.0 - 2.0 * side, wheel.rim_radius_m
+    hand_from_wheel = rp.matmul(invert(vehicle_from_hand), wheel.vehicle_from_wheel)
+    one, two, middle = (hand_from_wheel[:3, k].tolist() for k in (0, 1, 3))
+    steep, turned = rp.hypot(one[0], two[0]), rp.arctan2(two[0], one[0])
+    palm = person.rest.palms[side][:3, 3].tolist()
+    sign = 0.0
+    curl = []
+    for chain in _chains(person, side):
+        # The rim's middle line goes through the plane at two places: the one of all fingers is nearer to the palm.
+        half = rp.arccos(min(max((chain.aside - middle[0]) / (radius * steep), -1.0), 1.0))
+        places = []
+        for turn in (sign,) if sign else (1.0, -1.0):
+            c, d = radius * rp.cos(turned + turn * half), radius * rp.sin(turned + turn * half)
+            y, z = (middle[axis] + c * one[axis] + d * two[axis] for axis in (1, 2))
+            places.append(((y - palm[1]) ** 2 + (z - palm[2]) ** 2, turn, complex(-z, -s * y)))
+        _, sign, rim = min(places)
+        curl.append(_closed_finger(chain, rim, wheel.rim_section_m))
+    return np.array(curl)
+
+
+def _closed_finger(chain: _Chain, rim: complex, section_m: float) -> list[float]:
+    """The curl of each phalanx of a finger around a rim whose axis goes through its plane at `rim`."""
+    bent, turn = [0.0, 0.0, 0.0], complex(1.0)
+    joint = chain.joints[0]
+    for k, full in enumerate(chain.full):
+        phalanx = (chain.joints[k + 1] - chain.joints[k]) * turn
+        angle = _until_touch(rim - joint, phalanx, section_m + chain.thick[k])
+        most = (chain.most, _MOST_PIP, min(bent[1] + _BEYOND_PIP, 1.0))[k]
+        bent[k] = min(max(_OF_CONTACT[k] * angle / full, 0.0), most)
+        turned = complex(rp.cos(bent[k] * full), rp.sin(bent[k] * full))
+        joint, turn = joint + phalanx * turned, turn * turned
+    return bent
+
+
+def _until_touch(rim: complex, phalanx: complex, apart: float) -> float:
+    """rad by which a phalanx that begins at 0 turns until it is `apart` m from `rim`; inf where it never is."""
+    length, far = _length(phalanx), max(_length(rim), apart)
+    at = rim * phalanx.conjugate()
+    ahead = float(rp.arctan2(at.imag, at.real))
+    if far * far - apart * apart <= length * length:
+        return ahead - float(rp.arcsin(apart / far))
+    cosine = (far * far + length * length - apart * apart) / (2.0 * far * length)  # its end touches first
+    return ahead - float(rp.arccos(cosine)) if cosine < 1.0 else math.inf
+
+
+def _length(a: complex) -> float:
+    return math.sqrt(a.real * a.real + a.imag * a.imag)
 
 
 def _brought_near(thing: Thing, turned: Matrix, hand: Cloud, along: float) -> Matrix:

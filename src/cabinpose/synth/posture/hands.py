@@ -66,7 +66,7 @@ RIM_MISS_M = 0.02  # a palm further than this from the rim does not hold it
 _PRESSED_M = 0.001  # of the skin around a rim
 _RIM_SLANT = math.radians(20.0)  # of a rim in the hand, from square across the palm: the wrist stays straighter (assumed)
 _RIM_REACH_M = 0.09  # half the length of rim that a hand covers, with what slants
-_CLOTH_M, _THIGH_RADIUS_M = 0.012, 0.09  # between what is lowest of a hand and the thigh's skin; the thigh's own
+_CLOTH_M, _THIGH_RADIUS_M = 0.015, 0.09  # from what is lowest of a hand to the thigh's skin, under trousers; the thigh's own
 _SLOPES = np.linspace(-0.2, 0.6, 33)  # of a lying hand
 PALM_M = 0.015  # from the palm's skin to the origin of its frame
 HAND_M = 0.095  # from the palm's origin to the tip of the middle finger, of an adult
@@ -192,9 +192,18 @@ def regripped(clock: float, wheel_angle: float) -> float:
 def fingers_on_rim(noise: tuple[float, ...], rim: float) -> Floats:
     """The same around a rim, none tighter than the curl `rim` that holds it; some index fingers lie along it."""
     rng = _own_rng(noise)
+    return _fingers(rim - _loose(rng), 0.85, rng)
+
+
+def loose_on_rim(noise: tuple[float, ...]) -> Floats:
+    """(5,) how much less the fingers of `fingers_on_rim` are curled than they could be, thumb to little finger."""
+    return _loose(_own_rng(noise))
+
+
+def _loose(rng: np.random.Generator) -> Floats:
     loose = np.abs(rng.standard_normal(5)) * (0.03, 0.05, 0.025, 0.025, 0.04)
     loose[1] += 0.15 * (rng.random() < 0.15)
-    return _fingers(rim - loose, 0.85, rng)
+    return loose
 
 
 class Lying(NamedTuple):

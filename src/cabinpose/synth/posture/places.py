@@ -140,7 +140,8 @@ class HandPlace:
     passes_on
         Whether the hand leaves room for another one at what it holds.
     touches
-        What the hand there, or what it holds, is brought to once the pose is solved: the car, the belt, or the own head.
+        What the hand there, or what it holds, is brought to once the pose is solved: the car, the belt, the own head, or the rim
+        that it lies on.
     grasps
         Whether its fingers close around that.
     """
@@ -156,7 +157,7 @@ class HandPlace:
     watched: ClassVar[bool] = False
     on_wheel: ClassVar[bool] = False
     passes_on: ClassVar[bool] = False
-    touches: ClassVar[Literal["", "car", "belt", "head"]] = ""
+    touches: ClassVar[Literal["", "car", "belt", "head", "rim"]] = ""
     grasps: ClassVar[bool] = False
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
@@ -192,7 +193,7 @@ class HandPlace:
 class _Wheel(HandPlace):
     """Closed around the rim."""
 
-    name, miss_m, on_wheel = "wheel", at.RIM_MISS_M, True
+    name, miss_m, on_wheel, touches = "wheel", at.RIM_MISS_M, True, "rim"
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:
         return seat.slot == "driver" and cabin.steering_wheel is not None
@@ -400,7 +401,7 @@ class _Belt(HandPlace):
     """At the shoulder belt, in front of the shoulder that it comes from."""
 
     name, carried_by, grip, watched = "belt", "spine01", 0.6, True
-    touches: ClassVar[Literal["", "car", "belt", "head"]] = "belt"
+    touches: ClassVar[Literal["", "car", "belt", "head", "rim"]] = "belt"
     aside_m: ClassVar[float] = 0.07  # from the middle of the chest, to the side from which the belt comes
 
     def exists(self, seat: Seat, cabin: Cabin) -> bool:

@@ -24,9 +24,9 @@ from cabinpose.synth.posture.gaze import head_goal
 from cabinpose.synth.posture.goals import TASKS, HandGoal, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.intents import carrying, holding, intents, with_fingers
-from cabinpose.synth.posture.legs import leg_plans
+from cabinpose.synth.posture.legs import leg_plans, uncrossed
 from cabinpose.synth.posture.neighbours import NOBODY, Neighbours
-from cabinpose.synth.posture.places import Hand, Reach
+from cabinpose.synth.posture.places import THIGH, Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.posture.touching import Touch, meet
 from cabinpose.synth.profiles import Profile
@@ -48,7 +48,7 @@ class OccupantPose:
     rad, + left, None where there is no wheel before the seat · residuals_m: by how much feet and hands miss their places, and
     how far the femur heads' middle is from the H-point · refused: which of them is too far from its place, "" where none is ·
     held_up_by: what was most in the way then, "" where nothing was ·
-    fingers: (2, 5 or 6) as `Person.pose` takes them, None where all follow the grip · hold: what is in a hand, if anything.
+    fingers: (2, 5, 6 or 16) as `Person.pose` takes them, None where all follow the grip · hold: what is in a hand, if anything.
     """
 
     q: Floats
@@ -181,7 +181,10 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     root = seated.vehicle_from_root(drawn_angle(action.pelvis, rng=rng))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
-    feet = foot_goals(seated, root, leg_plans(seated, rng=rng))
+    plans = leg_plans(seated, rng=rng)
+    if any(plan.over and hands[1 - side].place is THIGH for side, plan in enumerate(plans)):
+        plans = uncrossed(plans)  # a hand on the lower thigh would lie between the two
+    feet = foot_goals(seated, root, plans)
     q, slumped = seated.fit.q.copy(), _SLUMPED if seated.on is None else 1.0
     slump = _move_trunk(q, action, side_sign, slumped, rng)
     if seated.on is None:  # a child seat's back leaves no room for it
@@ -211,6 +214,8 @@ def _touch(seated: SeatContext, hand: Hand, side: int, held: Hold | None) -> Tou
     match hand.place.touches:
         case "car" if hand.reach is not None and hand.reach.touched:
             return Touch(side, hand.reach.point, grasps=hand.place.grasps)
+        case "rim" if seated.wheel is not None:
+            return Touch(side, rim=(seated.wheel, at.loose_on_rim(hand.noise)), grasps=True)
         case "belt" if seated.on is None:
             return Touch(side, belt=seated)
         case "head" if (held is not None and held.side == side) or hand.place.held is None:
@@ -265,7 +270,11 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
         fingers = d.fingers
         for touch in () if refused else d.touches:
             fingers = meet(who, touch, fingers, d.hold, placed)
-        result.append(OccupantPose(who.q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, fingers, d.hold))
+        q = who.q.copy()  # the solver begins again with the hand that it knows
+        for touch in d.touches:
+            if touch.rim is not None and fingers.shape[1] == 16:
+                q[DOF_INDEX["lr"[touch.side] + "hand.grip"]] = max(float(fingers[touch.side, 3:15].mean()), _LEAST_GRIP)
+        result.append(OccupantPose(q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, fingers, d.hold))
     return result
 
 

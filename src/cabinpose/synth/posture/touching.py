@@ -15,14 +15,14 @@ import numpy as np
 
 from cabinpose.core import Floats, Ints, Matrix, apply, invert, transform
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, SEGMENTS, Person, vertex_segments
-from cabinpose.scene.cabin import Wearer
+from cabinpose.scene.body import BONE_INDEX, DOF_INDEX, SEGMENTS, Person, by_phalanx, vertex_segments
+from cabinpose.scene.cabin import SteeringWheel, Wearer
 from cabinpose.scene.contact import STATIC_GROUP, GroupPart, PlacedField, TriangleMesh, triangle_mesh
 from cabinpose.scene.things import make_thing
 from cabinpose.synth.posture.context import SeatContext
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.goals import hand_to
-from cabinpose.synth.posture.grasps import OPEN_HAND, Hold, fingers_closed_on
+from cabinpose.synth.posture.grasps import OPEN_HAND, Hold, fingers_around_rim, fingers_closed_on
 from cabinpose.synth.posture.memory import kept_with_person
 from cabinpose.synth.posture.solver import Sitter
 
@@ -41,13 +41,15 @@ _LEAST_GRIP = 0.01  # with which fingers can still be posed one by one
 class Touch(NamedTuple):
     """What a hand (0 left, 1 right), or the thing in it, is to touch.
 
-    point: (3,) m, vehicle frame: the part of the car that is nearest to it · belt: whose belt, in place of that; with neither it
-    is the own head · grasps: whether the fingers close around it.
+    point: (3,) m, vehicle frame: the part of the car that is nearest to it · belt: whose belt, in place of that · rim: the wheel
+    whose rim the hand holds, and how much less than that each finger, thumb first, is closed (5,); without any of them it is the
+    own head · grasps: whether the fingers close around it.
     """
 
     side: int
     point: Floats | None = None
     belt: SeatContext | None = None
+    rim: tuple[SteeringWheel, Floats] | None = None
     grasps: bool = False
 
 
@@ -108,7 +110,7 @@ def meet(who: Sitter, touch: Touch, fingers: Floats, hold: Hold | None, placed: 
     touch, hold
         What is touched, and what the hand holds.
     fingers
-        (2, 6) as `Person.pose` takes them.
+        (2, 6) or (2, 16) as `Person.pose` takes them.
     placed
         The car's fields; None: without a car.
 
@@ -117,14 +119,16 @@ def meet(who: Sitter, touch: Touch, fingers: Floats, hold: Hold | None, placed: 
     Floats
         The fingers, those of a hand that grasps closed around what it touches.
     """
+    if touch.rim is not None:
+        return _closed_on_rim(who, touch.side, *touch.rim, fingers) if touch.grasps else fingers
     part = None
     if touch.belt is not None:
         part = _belt(who, touch.belt)
     elif touch.point is not None and (part := _nearest_part(touch.point, placed)) is None:
         return fingers
     if touch.grasps:
-        fingers = fingers.copy()
-        fingers[touch.side] = (*OPEN_HAND, np.nan)
+        fingers = by_phalanx(fingers).copy()
+        fingers[touch.side] = (*np.repeat(OPEN_HAND, 3), np.nan)
     bounds = who.goals.lower, who.goals.upper
     for _ in range(_ROUNDS):
         shift = _shift(_meetings(who, touch, fingers, hold, part))
@@ -135,8 +139,17 @@ def meet(who: Sitter, touch: Touch, fingers: Floats, hold: Hold | None, placed: 
     if touch.grasps and part is not None:
         palm = frames(who.q, who.person.rest, who.root).palms[touch.side]
         curl = fingers_closed_on(who.person, part.mesh, palm, touch.side, shell_m=part.shell_m)
-        fingers[touch.side] = (*curl, np.nan)
+        fingers[touch.side] = (*np.repeat(curl, 3), np.nan)
         who.q[DOF_INDEX["lr"[touch.side] + "hand.grip"]] = max(float(curl[1:].min()), _LEAST_GRIP)
+    return fingers
+
+
+def _closed_on_rim(who: Sitter, side: int, wheel: SteeringWheel, loose: Floats, fingers: Floats) -> Floats:
+    """(2, 16) fingers, those of one hand around the rim on which its palm lies."""
+    fingers = by_phalanx(fingers).copy()
+    hand = frames(who.q, who.person.rest, who.root).bone("lr"[side] + "hand")
+    curl = fingers_around_rim(who.person, wheel, hand, side) * (1.0 - loose[1:, None])
+    fingers[side, 3:15] = curl.reshape(-1)
     return fingers
 
 
