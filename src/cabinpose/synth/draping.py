@@ -6,6 +6,7 @@ cloth hangs, so that nothing comes through it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -30,6 +31,7 @@ _AWAY_M = 60.0  # from where it is seen: rays are all but parallel
 _SHORTEST_M = 0.22  # of a cloth, along the thighs or the cushion
 _ON_INFANT_M, _SLACK_M = (0.145, 0.12, 0.13, 0.0075), 0.03  # breadth, shortest, highest and cell there; beyond the ankles
 _ON_SEAT_M = (0.05, 0.46)  # along a cushion, from the backrest
+_MESH_M, _FEWEST = 0.019, 6  # apart of a cloth's vertices, and along its shortest side
 _FOLD_M, _FOLDS = 0.0022, ((9.0, 4.0), (-6.0, 11.0), (15.0, -7.0))  # height, and waves along and across, rad/m
 
 
@@ -113,7 +115,8 @@ def draped(kind: str, variant: int, ground: Ground, below: Sequence[Surface]) ->
 
     def cloth(x0: float, x1: float, left: float, right: float, slant: float = 0.0, above: float = 0.0) -> Solid:
         """A piece from x0 to x1 between two sides (y, m); slant: how far it is moved to the left at its end; above: another."""
-        s, t = np.meshgrid(np.linspace(0.0, 1.0, 24), np.linspace(0.0, 1.0, 28), indexing="ij")
+        rows, columns = (max(int(math.ceil(side / _MESH_M)), _FEWEST) for side in (x1 - x0, right - left))
+        s, t = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
         wave = 0.012 * rp.sin(9.0 * s + 7.0 * t + phase)
         px = x0 + s * (x1 - x0) + wave * (t - 0.5)
         py = left + t * (right - left) + slant * s + wave * (0.5 - np.abs(s - 0.5))
