@@ -11,7 +11,7 @@ from cabinpose.scene.body.folds import seen_chart
 from cabinpose.scene.body.garments import half_opening
 from cabinpose.scene.body.headgear import Head, beanie, hat, headscarf, hood, mask
 from cabinpose.scene.body.kinematics import RestArrays
-from cabinpose.scene.body.neckwear import Neck, hood_down, scarf, shirt_collar, stand_collar
+from cabinpose.scene.body.neckwear import Neck, coat_collar, hood_down, scarf, shirt_collar, stand_collar
 from cabinpose.scene.body.outfit import COVERING_HAIR, Garment, Outfit, worn
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.sheets import Accessory, Cloud, drape
@@ -22,18 +22,18 @@ _ON_HEADS = {"beanie": beanie, "hat": hat, "headscarf": headscarf, "hood": hood}
 _AT_NECKS = {
     "shirt": shirt_collar,
     "turtleneck": stand_collar,
-    "coat": shirt_collar,
-    "open_jacket": shirt_collar,
+    "coat": coat_collar,
+    "open_jacket": coat_collar,
     "hoodie": hood_down,
 }
 
 
 def draped(
-    surface: Floats32, rest: RestArrays, eyes: Floats, head: tuple[float, float, float, float], outfit: Outfit
+    surface: Floats32, bare: Floats32, rest: RestArrays, eyes: Floats, head: tuple[float, float, float, float], outfit: Outfit
 ) -> list[Accessory]:
     """The cloth of an outfit over seen vertices (V + N, 3) m in close clothes and hair.
 
-    eyes: (3,) m between them · head: half width, front, back and top of the head from there.
+    bare: the same vertices of the skin · eyes: (3,) m between them · head: half width, front, back and top of the head from there.
     """
     c, everything = seen_chart(), Cloud(surface.astype(np.float64), np.arange(len(surface)))
     neck = rest.heads[BONE_INDEX["neck01"]]
@@ -42,7 +42,8 @@ def draped(
     wears = worn(outfit)
     collar = None if outfit.headwear in COVERING_HAIR else _AT_NECKS.get(outfit.top)  # what covers the hair covers the neck
     if collar is not None or outfit.scarf:
-        at = Neck(everything.where((c.head + c.neck > 0.3) | ((c.up > 0.45) & (c.arm < 0.5))), neck, size)
+        skin = Cloud(bare.astype(np.float64), everything.vertex).where((c.head < 0.5) & (c.up > 0.7) & (c.arm < 0.4))
+        at = Neck(everything.where((c.head < 0.5) & (c.up > 0.45) & (c.arm < 0.5)), skin, neck, size)
         if collar is not None:
             made += collar(at, wears["top"])
         if outfit.scarf:
