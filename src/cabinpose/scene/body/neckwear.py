@@ -56,9 +56,9 @@ def _lower(angle: Floats) -> Floats:
     return np.asarray(0.007 * (1.0 + rp.cos(angle)) ** 2)
 
 
-def _turned_down(neck: Neck, of: Garment, high: float) -> Accessory:
-    """A collar that is turned down, open before the throat: from below the neckline up to `high` m behind, its leaf on the cloth."""
-    angle = np.linspace(np.radians(10.0), np.radians(350.0), 41)
+def _turned_down(neck: Neck, of: Garment, high: float, gap_deg: float) -> Accessory:
+    """A collar that is turned down: from below the neckline up to `high` m behind, its leaf on the cloth; open for twice the gap."""
+    angle = np.radians(np.linspace(gap_deg, 360.0 - gap_deg, 41))
     front = np.clip(rp.cos(angle), 0, 1) ** 2
     rows = -0.012 + (high + 0.012 - _lower(angle)) * np.array((0.0, 0.22, 0.48, 0.74, 0.94, 1.0))[:, None]
     off = np.array((0.001, 0.002, 0.003, 0.004, 0.005, 0.009))[:, None] + 0.0 * angle
@@ -76,12 +76,17 @@ def _turned_down(neck: Neck, of: Garment, high: float) -> Accessory:
 
 def shirt_collar(neck: Neck, of: Garment) -> list[Accessory]:
     """The turned-down collar of a shirt."""
-    return [_turned_down(neck, of, 0.050)]
+    return [_turned_down(neck, of, 0.050, 10.0)]
 
 
 def coat_collar(neck: Neck, of: Garment) -> list[Accessory]:
-    """That of a coat or a jacket, which is higher."""
-    return [_turned_down(neck, of, 0.064)]
+    """That of a coat, which is higher."""
+    return [_turned_down(neck, of, 0.064, 10.0)]
+
+
+def jacket_collar(neck: Neck, of: Garment) -> list[Accessory]:
+    """That of an open jacket, which runs into its fronts."""
+    return [_turned_down(neck, of, 0.060, 34.0)]
 
 
 def stand_collar(neck: Neck, of: Garment) -> list[Accessory]:
