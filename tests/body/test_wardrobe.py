@@ -12,6 +12,7 @@ import trimesh
 from scipy import stats
 from scipy.spatial import ConvexHull
 
+from cabinpose.scene import LABEL_ID, MATERIAL_ID
 from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, PLACES, SUBJECTS, BodyModel, Outfit, outfit
 from cabinpose.scene.body.accessories import head_box
 from cabinpose.scene.body.garments import layer
@@ -36,9 +37,9 @@ def person(name: str, garment: str):
 
 def pieces(name: str, garment: str):
     body = person(name, garment)
-    seen = layer(body.rest_skin, body.rest, body.outfit, 1.0).vertices
+    seen = layer(body.rest_skin, body.rest, body.outfit, 1.0)
     skin, middle = body.rest_skin.astype(np.float64), body.eye_centres.mean(axis=0)
-    return draped(seen, body.rest, middle, head_box(skin, middle), body.outfit)
+    return draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), body.outfit)
 
 
 def seated() -> np.ndarray:
@@ -141,8 +142,8 @@ def test_no_collar_comes_through_what_covers_the_neck(headwear: str) -> None:
     made = []
     for top in ("long_sleeve", "shirt", "turtleneck", "hoodie"):
         worn = replace(PLAIN, top=top, headwear=headwear)
-        seen = layer(body.rest_skin, body.rest, worn, 1.0).vertices
-        made.append(len(draped(seen, body.rest, middle, head_box(skin, middle), worn)))
+        seen = layer(body.rest_skin, body.rest, worn, 1.0)
+        made.append(len(draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), worn)))
     assert made == [1, 1, 1, 1]
 
 
@@ -200,3 +201,45 @@ def test_outfits_are_as_common_as_said(gender: float) -> None:
         outfit.COLD * outfit.HEADWEAR_SHARES["cold"]["beanie"] + (1 - outfit.COLD) * outfit.HEADWEAR_SHARES["warm"]["beanie"]
     )
     assert stats.binomtest(sum(each.headwear == "beanie" for each in drawn), count, beanies).pvalue > 0.001
+
+
+TURNS_DEG = {
+    "ahead": {}, "left": {"neck.rotation": 35, "head.rotation": 35}, "right": {"neck.rotation": -35, "head.rotation": -35},
+    "bent": {"neck.flexion": 20, "head.flexion": 10}, "bent and turned": {"neck.flexion": 25, "neck.rotation": 30},
+}  # fmt: skip
+
+
+def posed_neck(name: str, turn: str, **worn):
+    """A seated person who holds the head so: the posed body, its surface, and the place in `PLACES` of each triangle."""
+    body = BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, **worn))
+    q = seated()
+    for axis, degrees in TURNS_DEG[turn].items():
+        q[DOF_INDEX[axis]] = np.radians(degrees)
+    posed = body.pose(q, np.eye(4))
+    return posed, posed.surface(1), np.array([PLACES[k] for k in body.dressed.worn])
+
+
+def bare_rays(name: str, turn: str, top: str) -> tuple[int, int]:
+    """Of rays from all round and above at where a collar meets the top: how many meet skin there, and how many are sent."""
+    posed, surface, _ = posed_neck(name, turn, top=top)
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    skin = surface.material == MATERIAL_ID["skin"]
+    root = posed.bones[BONES.index("neck01"), :3, 3]
+    angle = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
+    round_it = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    start = np.concatenate([root + round_it * reach + (0.0, 0.0, 0.5) for reach in (0.085, 0.095, 0.105, 0.115)])
+    met = mesh.ray.intersects_first(start, np.tile((0.0, 0.0, -1.0), (len(start), 1)))
+    on_neck = met >= 0
+    labels = surface.label[met[on_neck]]
+    head = np.isin(labels, [LABEL_ID[part] for part in ("head_left", "head_right")])
+    return int((skin[met[on_neck]] & ~head).sum()), int((~head).sum())
+
+
+@pytest.mark.parametrize("turn", TURNS_DEG)
+@pytest.mark.parametrize("top", ["shirt", "turtleneck", "coat"])
+@pytest.mark.parametrize("name", [MAN, WOMAN, "S07"])
+def test_no_neck_shows_between_a_collar_and_its_top(name: str, top: str, turn: str) -> None:
+    """Seen from above, round the neck at the shoulders, skin is nowhere outside of the collar, however the head is held."""
+    bare, sent = bare_rays(name, turn, top)
+    assert sent > 90
+    assert bare == 0
