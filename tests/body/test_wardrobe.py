@@ -243,3 +243,37 @@ def test_no_neck_shows_between_a_collar_and_its_top(name: str, top: str, turn: s
     bare, sent = bare_rays(name, turn, top)
     assert sent > 90
     assert bare == 0
+
+
+@pytest.mark.parametrize("name", [MAN, WOMAN, "S05", "S07"])
+def test_the_shirt_under_an_open_jacket_shows_between_its_fronts_alone(name: str) -> None:
+    """From before the chest: in each row the shirt is one stretch, and none of it is seen through a front."""
+    posed, surface, places = posed_neck(name, "ahead", top="open_jacket")
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    chest, hip = (posed.bones[BONES.index(bone), :3, 3] for bone in ("spine01", "pelvis"))
+    rows = 0
+    for share in np.linspace(0.25, 0.85, 13):
+        middle = hip + share * (chest - hip)
+        across = np.linspace(-0.17, 0.17, 120)
+        start = np.stack([np.full(120, middle[0] + 1.0), middle[1] + across, np.full(120, middle[2])], axis=1)
+        met = mesh.ray.intersects_first(start, np.tile((-1.0, 0.0, 0.0), (120, 1)))
+        shirt = (met >= 0) & (places[met] == "inner")
+        assert np.count_nonzero(np.diff(shirt.astype(int)) == 1) == 1
+        rows += 1
+    assert rows == 13
+
+
+@pytest.mark.parametrize("turn", TURNS_DEG)
+@pytest.mark.parametrize("name", [MAN, WOMAN])
+def test_a_scarf_leaves_the_face_free(name: str, turn: str) -> None:
+    """However the head is held: from before the face no ray to it meets the scarf."""
+    posed, surface, places = posed_neck(name, turn, scarf=True)
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    head = posed.bones[BONES.index("head")]
+    lips = surface.vertices[surface.faces[posed.person.dressed.is_lip]].mean(axis=(0, 1))
+    ahead, aside, up = head[:3, :3].T
+    places_to = [lips + y * aside + z * up for y in np.linspace(-0.03, 0.03, 7) for z in np.linspace(-0.025, 0.08, 8)]
+    start = np.array(places_to) + 0.4 * ahead
+    met = mesh.ray.intersects_first(start, np.tile(-ahead, (len(start), 1)))
+    assert (met >= 0).all()
+    assert not (places[met] == "scarf").any()

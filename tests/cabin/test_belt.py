@@ -231,7 +231,13 @@ def test_a_lap_belt_lies_over_what_is_worn_on_raised_thighs(bottom: str, flexion
 
 @pytest.mark.parametrize(
     ("name", "bottom", "ahead_m"),
-    [("S02", "jeans", 0.14), ("S02", "skirt", 0.2), ("S02", "jeans", 0.2), ("S05", "long_skirt", 0.14), ("S05", "long_skirt", 0.2)],
+    [
+        ("S02", "jeans", 0.14),
+        ("S02", "skirt", 0.2),
+        ("S02", "jeans", 0.2),
+        ("S05", "long_skirt", 0.14),
+        ("S05", "long_skirt", 0.2),
+    ],
 )
 def test_the_belt_of_who_has_slid_down_goes_through_no_thigh(name: str, bottom: str, ahead_m: float) -> None:
     """Slumped, before the backrest: none of the part before the chest is in the body, by signed distances to the skin."""
@@ -240,7 +246,12 @@ def test_the_belt_of_who_has_slid_down_goes_through_no_thigh(name: str, bottom: 
     q = np.zeros(len(DOFS))
     q[DOF_INDEX["lumbar.flexion"]] = np.radians(12.0)
     for side in "lr":
-        for axis, degrees in (("hip.flexion", 77.0), ("knee.flexion", 60.0), ("hip.abduction", 8.0), ("shoulder.abduction", 25.0)):
+        for axis, degrees in (
+            ("hip.flexion", 77.0),
+            ("knee.flexion", 60.0),
+            ("hip.abduction", 8.0),
+            ("shoulder.abduction", 25.0),
+        ):
             q[DOF_INDEX[f"{side}{axis}"]] = np.radians(degrees)
     person = BodyModel.load().person(SUBJECTS[name].phenotype, Outfit("t_shirt", bottom))
     place = seat.vehicle_from_back(seat.default).copy()

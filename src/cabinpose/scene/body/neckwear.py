@@ -29,20 +29,27 @@ class Neck(NamedTuple):
 
 
 def _about(
-    neck: Neck, over: Cloud, height: Floats, angle: Floats, off: Floats | float, *, closed: bool, ball: float = 0.025, sweeps: int = 3
+    neck: Neck,
+    over: Cloud,
+    height: Floats,
+    angle: Floats,
+    off: Floats | float,
+    *,
+    closed: bool,
+    by: tuple[float, int] = (0.025, 3),
 ) -> Draped:
-    """Cloth over a cloud about the neck at heights (n, 1) or (n, m) m over its root, in directions (m,) rad."""
+    """Cloth over a cloud about the neck at heights (n, 1) or (n, m) m over its root, in directions (m,) rad; by: ball and sweeps of `drape`."""
     height = height + np.zeros((height.shape[0], len(angle)))
     direction = np.stack(
         [rp.cos(angle) + 0.0 * height, rp.sin(angle) + 0.0 * height, -0.30 * rp.cos(angle) + 0.0 * height], axis=2
     )
     origin = neck.root + height[..., None] * neck.tilted
-    return drape(over, origin, direction, ball=ball * neck.size, off=off, sweeps=sweeps, closed=closed)
+    return drape(over, origin, direction, ball=by[0] * neck.size, off=off, sweeps=by[1], closed=closed)
 
 
 def _standing(neck: Neck, angle: Floats, height: Floats, off: Floats, *, closed: bool) -> Draped:
     """Rows (n, m) of a collar up the neck, `height` m over its root and `off` m from the skin: the lowest are below the cloth."""
-    return _about(neck, neck.skin, neck.size * height, angle, neck.size * off, closed=closed, ball=0.014, sweeps=2)
+    return _about(neck, neck.skin, neck.size * height, angle, neck.size * off, closed=closed, by=(0.014, 2))
 
 
 def _radius(neck: Neck, cloth: Draped, height: Floats) -> Floats:
@@ -57,7 +64,7 @@ def _lower(angle: Floats) -> Floats:
 
 
 def _turned_down(neck: Neck, of: Garment, high: float, gap_deg: float) -> Accessory:
-    """A collar that is turned down: from below the neckline up to `high` m behind, its leaf on the cloth; open for twice the gap."""
+    """A collar that is turned down: from below the neckline to `high` m behind, its leaf on the cloth; open for twice the gap."""
     angle = np.radians(np.linspace(gap_deg, 360.0 - gap_deg, 41))
     front = np.clip(rp.cos(angle), 0, 1) ** 2
     rows = -0.012 + (high + 0.012 - _lower(angle)) * np.array((0.0, 0.22, 0.48, 0.74, 0.94, 1.0))[:, None]
@@ -65,13 +72,16 @@ def _turned_down(neck: Neck, of: Garment, high: float, gap_deg: float) -> Access
     stand = _standing(neck, angle, rows, off, closed=False)
     down = np.array((0.25, 0.6, 1.0))[:, None]
     low = neck.size * (rows[-1] - down * (0.015 + 0.010 * rp.cos(angle) ** 2 + 0.030 * front))
-    leaf = _about(neck, neck.cloud, low, angle, 0.006 * neck.size, closed=False, ball=0.014, sweeps=1)
+    leaf = _about(neck, neck.cloud, low, angle, 0.006 * neck.size, closed=False, by=(0.014, 1))
     lies = _radius(neck, leaf, low)
     hangs = _radius(neck, stand, neck.size * rows)[-1] + neck.size * (0.016 * down + 0.010 * down * front)
     points = leaf.points + leaf.outwards * np.maximum(hangs - lies, 0.0)[..., None]
     weights = stand.weights[-1] + down[..., None] * (leaf.weights - stand.weights[-1])
-    both = (stand, Draped(points, leaf.outwards, weights, leaf.label))
-    return Draped(*(np.concatenate(each) for each in zip(*both, strict=True))).cloth(0.002, of, closed=False)
+    whole = Draped(
+        np.concatenate([stand.points, points]), np.concatenate([stand.outwards, leaf.outwards]),
+        np.concatenate([stand.weights, weights]), np.concatenate([stand.label, leaf.label]),
+    )  # fmt: skip
+    return whole.cloth(0.002, of, closed=False)
 
 
 def shirt_collar(neck: Neck, of: Garment) -> list[Accessory]:
@@ -133,10 +143,12 @@ def scarf(neck: Neck, of: Garment) -> list[Accessory]:
     widest = np.full(len(_ROUND), np.inf)
     for level, thick, turn in ((0.056, 0.015, 0.0), (0.038, 0.018, 1.3)):
         height = neck.size * (level - 0.006 * rp.cos(_ROUND + turn) - _lower(_ROUND))[None]
-        path = _about(neck, neck.skin, height, _ROUND, 0.0, closed=True, ball=0.014, sweeps=2)
+        path = _about(neck, neck.skin, height, _ROUND, 0.0, closed=True, by=(0.014, 2))
         radius = _radius(neck, path, height)[0]
         path = path._replace(points=path.points + path.outwards * np.minimum(widest - radius, 0.0)[None, :, None])
-        widest = np.minimum(radius, widest) + 0.018 * neck.size  # the outer turn lies on the inner one, also where the shoulders are wider
+        widest = (
+            np.minimum(radius, widest) + 0.018 * neck.size
+        )  # the outer turn lies on the inner one, also where the shoulders are wider
         half = neck.size * np.stack([thick + 0.003 * waves, thick * 1.35 - 0.003 * waves], axis=1)
         parts.append(_rolled(path, half, up, 0.0 * _ROUND, of))
     rows, columns = 16, 9

@@ -34,7 +34,7 @@ def draped(
 ) -> list[Accessory]:
     """The cloth of an outfit over seen vertices (V + N, 3) m in close clothes and hair.
 
-    bare: the same vertices of the skin · eyes: (3,) m between them · head: half width, front, back and top of the head from there.
+    bare: the same vertices of the skin · eyes: (3,) m between them · head: half width, front, back and top of it from there.
     """
     c, everything = seen_chart(), Cloud(surface.astype(np.float64), np.arange(len(surface)))
     neck = rest.heads[BONE_INDEX["neck01"]]
@@ -70,10 +70,10 @@ def draped(
 
 
 def _broadness(cloud: Cloud, side: float, z: Floats, aside: Floats) -> Floats:
-    """(rows, 1) how much broader than the average adult somebody is in front, at heights z and `aside` from the middle (rows, 1) m."""
+    """(rows, 1) how much broader than the average somebody is in front, at heights z and `aside` from the middle (rows, 1) m."""
     own = cloud.where((cloud.points[:, 0] > 0.0) & (cloud.points[:, 1] * side > 0.0))
     average, broad = np.abs(seen_chart().rest[own.vertex, 1]), np.abs(own.points[:, 1])
-    near = bump(own.points[:, 2], z, 0.04) * bump(average, aside, 0.03)
+    near = bump(own.points[:, 2] - z, 0.0, 0.04) * bump(average - aside, 0.0, 0.03)
     return np.asarray((near * broad).sum(axis=1) / (near * average).sum(axis=1))[:, None]
 
 
