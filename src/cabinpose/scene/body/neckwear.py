@@ -38,7 +38,10 @@ def _about(
     closed: bool,
     by: tuple[float, int] = (0.025, 3),
 ) -> Draped:
-    """Cloth over a cloud about the neck at heights (n, 1) or (n, m) m over its root, in directions (m,) rad; by: ball and sweeps of `drape`."""
+    """Cloth over a cloud about the neck at heights (n, 1) or (n, m) m over its root, in directions (m,) rad.
+
+    by: ball and sweeps of `drape`.
+    """
     height = height + np.zeros((height.shape[0], len(angle)))
     direction = np.stack(
         [rp.cos(angle) + 0.0 * height, rp.sin(angle) + 0.0 * height, -0.30 * rp.cos(angle) + 0.0 * height], axis=2
