@@ -220,7 +220,7 @@ def posed_neck(name: str, turn: str, **worn):
 
 
 def bare_rays(name: str, turn: str, top: str) -> tuple[int, int]:
-    """Of rays from above, beside and behind the neck, at where a collar meets the top: how many meet skin there, and how many are sent."""
+    """Of rays from above, beside and behind the neck, where a collar meets its top: how many meet skin, and how many are sent."""
     posed, surface, _ = posed_neck(name, turn, top=top)
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     skin = surface.material == MATERIAL_ID["skin"]
