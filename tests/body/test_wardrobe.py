@@ -12,6 +12,7 @@ import trimesh
 from scipy import stats
 from scipy.spatial import ConvexHull
 
+from cabinpose.scene import LABEL_ID, MATERIAL_ID
 from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, PLACES, SUBJECTS, BodyModel, Outfit, outfit
 from cabinpose.scene.body.accessories import head_box
 from cabinpose.scene.body.garments import layer
@@ -36,9 +37,9 @@ def person(name: str, garment: str):
 
 def pieces(name: str, garment: str):
     body = person(name, garment)
-    seen = layer(body.rest_skin, body.rest, body.outfit, 1.0).vertices
+    seen = layer(body.rest_skin, body.rest, body.outfit, 1.0)
     skin, middle = body.rest_skin.astype(np.float64), body.eye_centres.mean(axis=0)
-    return draped(seen, body.rest, middle, head_box(skin, middle), body.outfit)
+    return draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), body.outfit)
 
 
 def seated() -> np.ndarray:
@@ -141,8 +142,8 @@ def test_no_collar_comes_through_what_covers_the_neck(headwear: str) -> None:
     made = []
     for top in ("long_sleeve", "shirt", "turtleneck", "hoodie"):
         worn = replace(PLAIN, top=top, headwear=headwear)
-        seen = layer(body.rest_skin, body.rest, worn, 1.0).vertices
-        made.append(len(draped(seen, body.rest, middle, head_box(skin, middle), worn)))
+        seen = layer(body.rest_skin, body.rest, worn, 1.0)
+        made.append(len(draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), worn)))
     assert made == [1, 1, 1, 1]
 
 
@@ -200,3 +201,63 @@ def test_outfits_are_as_common_as_said(gender: float) -> None:
         outfit.COLD * outfit.HEADWEAR_SHARES["cold"]["beanie"] + (1 - outfit.COLD) * outfit.HEADWEAR_SHARES["warm"]["beanie"]
     )
     assert stats.binomtest(sum(each.headwear == "beanie" for each in drawn), count, beanies).pvalue > 0.001
+
+
+TURNS_DEG = {
+    "ahead": {}, "left": {"neck.rotation": 35, "head.rotation": 35}, "right": {"neck.rotation": -35, "head.rotation": -35},
+    "bent": {"neck.flexion": 20, "head.flexion": 10}, "bent and turned": {"neck.flexion": 25, "neck.rotation": 30},
+}  # fmt: skip
+
+
+def posed_neck(name: str, turn: str, **worn):
+    """A seated person who holds the head so: the posed body, its surface, and the place in `PLACES` of each triangle."""
+    body = BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, **worn))
+    q = seated()
+    for axis, degrees in TURNS_DEG[turn].items():
+        q[DOF_INDEX[axis]] = np.radians(degrees)
+    posed = body.pose(q, np.eye(4))
+    return posed, posed.surface(1), np.array([PLACES[k] for k in body.dressed.worn])
+
+
+def bare_rays(name: str, turn: str, top: str) -> tuple[int, int]:
+    """Of rays from above, beside and behind the neck, where a collar meets its top: how many meet skin, and how many are sent."""
+    posed, surface, _ = posed_neck(name, turn, top=top)
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    skin = surface.material == MATERIAL_ID["skin"]
+    root = posed.bones[BONES.index("neck01"), :3, 3]
+    angle = np.concatenate([side * np.radians(np.linspace(65.0, 150.0, 18)) for side in (1, -1)])
+    round_it = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    start = np.concatenate([root + round_it * reach + (0.0, 0.0, 0.5) for reach in (0.070, 0.078, 0.086, 0.095)])
+    met = mesh.ray.intersects_first(start, np.tile((0.0, 0.0, -1.0), (len(start), 1)))
+    on_neck = met >= 0
+    labels = surface.label[met[on_neck]]
+    head = np.isin(labels, [LABEL_ID[part] for part in ("head_left", "head_right")])
+    return int((skin[met[on_neck]] & ~head).sum()), int((~head).sum())
+
+
+@pytest.mark.parametrize("turn", TURNS_DEG)
+@pytest.mark.parametrize("top", ["shirt", "turtleneck", "coat"])
+@pytest.mark.parametrize("name", [MAN, WOMAN, "S07"])
+def test_no_neck_shows_between_a_collar_and_its_top(name: str, top: str, turn: str) -> None:
+    """Seen from above, beside and behind the neck, skin is nowhere outside of the collar, however the head is held."""
+    bare, sent = bare_rays(name, turn, top)
+    assert sent > 40
+    assert bare == 0
+
+
+@pytest.mark.parametrize("name", [MAN, WOMAN, "S05", "S07"])
+def test_the_shirt_under_an_open_jacket_shows_between_its_fronts_alone(name: str) -> None:
+    """From before the chest: in each row the shirt is one stretch, and none of it is seen through a front."""
+    posed, surface, places = posed_neck(name, "ahead", top="open_jacket")
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    chest, hip = (posed.bones[BONES.index(bone), :3, 3] for bone in ("spine01", "pelvis"))
+    rows = 0
+    for share in np.linspace(0.25, 0.85, 13):
+        middle = hip + share * (chest - hip)
+        across = np.linspace(-0.17, 0.17, 120)
+        start = np.stack([np.full(120, middle[0] + 1.0), middle[1] + across, np.full(120, middle[2])], axis=1)
+        met = mesh.ray.intersects_first(start, np.tile((-1.0, 0.0, 0.0), (120, 1)))
+        shirt = (met >= 0) & (places[met] == "inner")
+        assert np.count_nonzero(np.diff(shirt.astype(int)) == 1) == 1
+        rows += 1
+    assert rows == 13

@@ -227,3 +227,38 @@ def test_a_lap_belt_lies_over_what_is_worn_on_raised_thighs(bottom: str, flexion
     cloth = trimesh.Trimesh(seen.vertices, seen.faces[lain_on], process=False)
     points = lap.reshape(-1, 3) + 0.001 * out / np.linalg.norm(out)
     assert not cloth.ray.intersects_any(points, np.tile(out, (len(points), 1))).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "bottom", "ahead_m"),
+    [
+        ("S02", "jeans", 0.14),
+        ("S02", "skirt", 0.2),
+        ("S02", "jeans", 0.2),
+        ("S05", "long_skirt", 0.14),
+        ("S05", "long_skirt", 0.2),
+    ],
+)
+def test_the_belt_of_who_has_slid_down_goes_through_no_thigh(name: str, bottom: str, ahead_m: float) -> None:
+    """Slumped, before the backrest: none of the part before the chest is in the body, by signed distances to the skin."""
+    cabin = build_cabin("sedan")
+    seat = cabin.seats["front_passenger"]
+    q = np.zeros(len(DOFS))
+    q[DOF_INDEX["lumbar.flexion"]] = np.radians(12.0)
+    for side in "lr":
+        for axis, degrees in (
+            ("hip.flexion", 77.0),
+            ("knee.flexion", 60.0),
+            ("hip.abduction", 8.0),
+            ("shoulder.abduction", 25.0),
+        ):
+            q[DOF_INDEX[f"{side}{axis}"]] = np.radians(degrees)
+    person = BodyModel.load().person(SUBJECTS[name].phenotype, Outfit("t_shirt", bottom))
+    place = seat.vehicle_from_back(seat.default).copy()
+    place[0, 3] += ahead_m
+    place[:3, :3] = axis_rotation("y", np.radians(-15.0)) @ place[:3, :3]
+    body = person.pose(q, place)
+    belt = Wearer.of(body.surface(1), body.joints).belt(seat, seat.default, cabin)
+    chest = belt.vertices[:240].reshape(2, 40, 3, 3)[0, 12:, 1]
+    skin = trimesh.Trimesh(body.skin, person.skin_faces, process=False)
+    assert trimesh.proximity.signed_distance(skin, chest.astype(float)).max() < 0.004

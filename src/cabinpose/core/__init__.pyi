@@ -8,6 +8,7 @@ from .arrays import Floats as Floats
 from .arrays import Floats32 as Floats32
 from .arrays import Ints as Ints
 from .arrays import Ints32 as Ints32
+from .arrays import at_rank as at_rank
 from .arrays import distinct_rows as distinct_rows
 from .camera import Camera as Camera
 from .camera import Distortion as Distortion

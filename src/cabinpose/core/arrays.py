@@ -1,9 +1,14 @@
-"""Names of the array types that every room uses (shapes and units are stated where an array is used), and rows told apart."""
+"""Names of the array types that every room uses (shapes and units are stated where an array is used), rows told apart, shares."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
+
+Name = TypeVar("Name")
 
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
@@ -25,3 +30,9 @@ def distinct_rows(rows: NDArray[np.number]) -> tuple[Ints, Ints]:
     which = np.empty(len(rows), np.int64)
     which[order] = np.cumsum(new) - 1
     return order[new], which
+
+
+def at_rank(shares: Mapping[Name, float], rank: float) -> Name:
+    """One of some things, by a rank of 0 to 1 over their shares."""
+    bounds = np.cumsum(list(shares.values()))
+    return list(shares)[min(int(np.searchsorted(bounds, rank * bounds[-1], side="right")), len(shares) - 1)]

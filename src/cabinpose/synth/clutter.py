@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from cabinpose.core import Floats, Matrix, apply, axis_rotation, transform
+from cabinpose.core import Floats, Matrix, apply, at_rank, axis_rotation, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import PosedBody
 from cabinpose.scene.cabin import Cabin, Part
@@ -20,7 +20,6 @@ from cabinpose.scene.contact import ContactField, PlacedField
 from cabinpose.scene.things import VARIANTS, PlacedThing, Thing, felt, make_thing, stands_free, stands_inside
 from cabinpose.synth.casting import Cast
 from cabinpose.synth.once import kept_with
-from cabinpose.synth.streams import at_rank
 from cabinpose.synth.validate import Seated, Validator
 
 CLEAR_M = 0.05  # from the skin of anybody, who has clothes on: nothing is nearer

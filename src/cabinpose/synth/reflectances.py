@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Bytes, Camera, Floats, Ints, Matrix, apply
+from cabinpose.core import Bytes, Camera, Floats, Ints, Matrix, apply, at_rank
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import DYES, FIRST_COAT, HAIR, MATERIAL_ID, MATERIALS, SKIN, SKIN_LIMITS, Coat, Surface, Wavelength
 from cabinpose.scene.body import Outfit, Person, worn
@@ -24,7 +24,7 @@ from cabinpose.synth.person_look import NOT_WORN, WORN, PersonLook, look_of, pat
 from cabinpose.synth.pictures.look import draw_trim, thing_colours
 from cabinpose.synth.render import RenderedFrame
 from cabinpose.synth.scene import Scene
-from cabinpose.synth.streams import at_rank, own_rng
+from cabinpose.synth.streams import own_rng
 
 _LUMINANCE = np.array((0.2126, 0.7152, 0.0722))  # of linear sRGB
 _OF_CARS = ("seat_fabric", "seat_leather", "soft_trim", "hard_plastic", "headliner", "carpet", "steering_leather")

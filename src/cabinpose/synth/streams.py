@@ -80,9 +80,3 @@ def weighted(weights: Mapping[Name, float], *, rng: np.random.Generator) -> Name
     names = list(weights)
     p = np.array([weights[name] for name in names], dtype=np.float64)
     return names[int(rng.choice(len(names), p=p / p.sum()))]
-
-
-def at_rank(shares: Mapping[Name, float], rank: float) -> Name:
-    """One of some things, by a rank of 0 to 1 over their shares."""
-    bounds = np.cumsum(list(shares.values()))
-    return list(shares)[min(int(np.searchsorted(bounds, rank * bounds[-1], side="right")), len(shares) - 1)]

@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from cabinpose.core import Bools, Camera, ConfigError, Floats, Floats32, Ints, apply, invert, look_at
+from cabinpose.core import Bools, Camera, ConfigError, Floats, Floats32, Ints, apply, at_rank, invert, look_at
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import GLAZING, MATERIAL_ID, Surface, Wavelength
 from cabinpose.scene.cabin import Cabin
@@ -24,7 +24,7 @@ from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.people import Model
 from cabinpose.synth.render import Rasteriser, RenderedFrame, normals_at
 from cabinpose.synth.scene import Scene
-from cabinpose.synth.streams import at_rank, own_rng, sun_rng
+from cabinpose.synth.streams import own_rng, sun_rng
 
 _Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 _Day = Annotated[int, Field(ge=1, le=366)]

@@ -113,7 +113,7 @@ def dress(space: ShapeSpace, skin: Floats32, rest: RestArrays, eye_centres: Floa
     all_faces, all_labels, all_materials, all_worn = [seen.faces], [label[seen.face]], [material[seen.face]], [place[seen.face]]
     count, bends = len(seen.vertex), list(_numbered(clothes.bends, seen.vertex))
     middle, bare = eye_centres.mean(axis=0), skin.astype(np.float64)
-    of_cloth = draped(clothes.vertices, rest, middle, head_box(bare, middle), outfit)
+    of_cloth = draped(clothes.vertices, clothes.bare, rest, middle, head_box(bare, middle), outfit)
     for part in (_eyeballs(eyes), *accessories(bare, rest, middle, outfit), *of_cloth):
         rows = np.zeros((len(part.vertices), space.bone_index.shape[1]), np.uint8)
         shares = np.zeros(rows.shape, np.float32)

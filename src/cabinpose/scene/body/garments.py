@@ -70,6 +70,7 @@ HAIR_DEPTH_M = {"bald": 0.0, "short": 0.009, "medium": 0.022, "long": 0.018, "bu
 FULL_BEND_RAD = 1.75  # of a joint: its folds grow no further
 _RIDGE_M = 0.6  # height of folds inside a fully bent joint, of those at rest
 GLOVE_M, _SHIRT_M = 0.0025, 0.009  # off the skin: gloves, and what shows under an open jacket
+_TUCKED_M = 0.02  # of the shirt below the fronts of an open jacket
 CAP_DEPTH_M, BEARD_DEPTH_M, BROW_DEPTH_M = 0.014, 0.008, 0.0015
 
 
@@ -262,11 +263,9 @@ def layer(skin: Floats32, rest: RestArrays, outfit: Outfit, size: float) -> Laye
         outer = mask * np.maximum(own + cloth.thickness, below)
         regions.append(Region(cut.inside[border], wears[place]))
         if name == "open_jacket":  # between its fronts shows what is worn under it
-            gap = opening()
-            outer += step(gap, 0.0, 0.02) * (np.minimum(outer, _SHIRT_M) - outer)
-            shirt = cut.inside[border] & (
-                (gap + 0.02 * step(-seen_chart().up, -0.78, 0.1))[cut.faces].mean(axis=1) > 0.0
-            )  # its border lies under the fronts
+            gap = opening() + _TUCKED_M * step(-seen_chart().up, -0.78, 0.1)  # its border lies under the fronts
+            outer += step(gap, -0.01, 0.02) * (np.minimum(outer, _SHIRT_M) - outer)
+            shirt = cut.inside[border] & (gap[cut.faces].mean(axis=1) > 0.0)
             regions.append(Region(shirt, wears["inner"]))
         depth = np.maximum(depth, outer)
         share = mask.astype(np.float32)[:, None]

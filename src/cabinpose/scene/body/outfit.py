@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from cabinpose.core import ConfigError, unknown_name
+from cabinpose.core import ConfigError, at_rank, unknown_name
 
 Top = Literal[
     "none", "t_shirt", "long_sleeve", "shirt", "jumper", "turtleneck", "hoodie", "jacket", "open_jacket", "coat",
@@ -155,20 +155,21 @@ class Outfit:
         u, folds = rng.random(8), int(rng.integers(1 << 16))
         cold, cut, legs, head, *small = rng.random(8).tolist()
         season = "cold" if cold < COLD else "warm"
-        top = _pick(u[0], {"t_shirt": 3, "long_sleeve": 2, "jumper": 2, "jacket": 2})
-        top = _pick(cut, TOP_CUTS[season].get(top, {top: 1.0}))
-        bottom = _pick(u[1], {"trousers": 4, "jeans": 4, "shorts": 1})
-        bottom = _pick(legs, {kind: gender * share for kind, share in HANGING_SHARES.items()} | {bottom: 1 - gender * _HANGS})
+        kind: Top = at_rank({"t_shirt": 3, "long_sleeve": 2, "jumper": 2, "jacket": 2}, u[0])
+        top: Top = at_rank(TOP_CUTS[season].get(kind, {kind: 1.0}), cut)
+        bottom: Bottom = at_rank({"trousers": 4, "jeans": 4, "shorts": 1}, u[1])
+        hangs = {hanging: gender * share for hanging, share in HANGING_SHARES.items()}
+        bottom = at_rank(hangs | {bottom: 1 - gender * _HANGS}, legs)
         if bottom == "dress" and top not in OVER_DRESSES:
             bottom = "skirt"
         up = HOOD_UP if top == "hoodie" else 0.0
         worn: dict[Headwear, float] = dict(HEADWEAR_SHARES[season]) | {"headscarf": gender * HEADSCARF, "hood": up}
-        headwear = _pick(head, worn | {"none": 1.0 - sum(worn.values())})
+        headwear: Headwear = at_rank(worn | {"none": 1.0 - sum(worn.values())}, head)
         if u[5] < _CAP and headwear == "none":
             headwear = "cap"
         dark, scarf, gloves, mask = (x < share for x, share in zip(small, SMALL_SHARES[season], strict=True))
         return cls(
-            top=top, bottom=bottom, shoes=_pick(u[2], {"trainers": 3, "leather": 2}), hair=_pick(u[3], hair),
+            top=top, bottom=bottom, shoes=at_rank({"trainers": 3, "leather": 2}, u[2]), hair=at_rank(hair, u[3]),
             beard=bool(u[4] < 0.15), headwear=headwear, glasses="sun" if dark else "clear" if u[6] < 0.3 else "none",
             scarf=scarf and headwear != "headscarf", gloves=gloves, mask=mask, fit=float(u[7]), folds=folds,
         )  # fmt: skip
@@ -209,9 +210,3 @@ def worn_words(outfit: Outfit) -> dict[str, str]:
     top = ",".join((names["top"], *(name for name in ("scarf", "gloves") if names[name] != "none")))
     told = ("hair", "beard", "bottom", "shoes", "headwear", "glasses", "mask")
     return {"skin": "", "top": top} | {place: names[place] for place in told}
-
-
-def _pick(x: float, weights: Mapping[Any, float]) -> Any:
-    """The name at a share `x` (0..1) of the weights."""
-    bounds = np.cumsum(list(weights.values()))
-    return list(weights)[int(np.searchsorted(bounds, x * bounds[-1], side="right"))]

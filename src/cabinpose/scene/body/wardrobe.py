@@ -7,11 +7,12 @@ import numpy as np
 from cabinpose.core import Floats, Floats32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body.chart import load_chart
+from cabinpose.scene.body.coverage import bump
 from cabinpose.scene.body.folds import seen_chart
 from cabinpose.scene.body.garments import half_opening
 from cabinpose.scene.body.headgear import Head, beanie, hat, headscarf, hood, mask
 from cabinpose.scene.body.kinematics import RestArrays
-from cabinpose.scene.body.neckwear import Neck, hood_down, scarf, shirt_collar, stand_collar
+from cabinpose.scene.body.neckwear import Neck, coat_collar, hood_down, jacket_collar, scarf, shirt_collar, stand_collar
 from cabinpose.scene.body.outfit import COVERING_HAIR, Garment, Outfit, worn
 from cabinpose.scene.body.rig import BONE_INDEX
 from cabinpose.scene.body.sheets import Accessory, Cloud, drape
@@ -22,18 +23,18 @@ _ON_HEADS = {"beanie": beanie, "hat": hat, "headscarf": headscarf, "hood": hood}
 _AT_NECKS = {
     "shirt": shirt_collar,
     "turtleneck": stand_collar,
-    "coat": shirt_collar,
-    "open_jacket": shirt_collar,
+    "coat": coat_collar,
+    "open_jacket": jacket_collar,
     "hoodie": hood_down,
 }
 
 
 def draped(
-    surface: Floats32, rest: RestArrays, eyes: Floats, head: tuple[float, float, float, float], outfit: Outfit
+    surface: Floats32, bare: Floats32, rest: RestArrays, eyes: Floats, head: tuple[float, float, float, float], outfit: Outfit
 ) -> list[Accessory]:
     """The cloth of an outfit over seen vertices (V + N, 3) m in close clothes and hair.
 
-    eyes: (3,) m between them · head: half width, front, back and top of the head from there.
+    bare: the same vertices of the skin · eyes: (3,) m between them · head: half width, front, back and top of it from there.
     """
     c, everything = seen_chart(), Cloud(surface.astype(np.float64), np.arange(len(surface)))
     neck = rest.heads[BONE_INDEX["neck01"]]
@@ -42,7 +43,8 @@ def draped(
     wears = worn(outfit)
     collar = None if outfit.headwear in COVERING_HAIR else _AT_NECKS.get(outfit.top)  # what covers the hair covers the neck
     if collar is not None or outfit.scarf:
-        at = Neck(everything.where((c.head + c.neck > 0.3) | ((c.up > 0.45) & (c.arm < 0.5))), neck, size)
+        skin = Cloud(bare.astype(np.float64), everything.vertex).where((c.head < 0.5) & (c.up > 0.7) & (c.arm < 0.4))
+        at = Neck(everything.where((c.head < 0.5) & (c.up > 0.45) & (c.arm < 0.5)), skin, neck, size)
         if collar is not None:
             made += collar(at, wears["top"])
         if outfit.scarf:
@@ -67,14 +69,22 @@ def draped(
     return made
 
 
+def _broadness(cloud: Cloud, side: float, z: Floats, aside: Floats) -> Floats:
+    """(rows, 1) how much broader than the average somebody is in front, at heights z and `aside` from the middle (rows, 1) m."""
+    own = cloud.where((cloud.points[:, 0] > 0.0) & (cloud.points[:, 1] * side > 0.0))
+    average, broad = np.abs(seen_chart().rest[own.vertex, 1]), np.abs(own.points[:, 1])
+    near = bump(own.points[:, 2] - z, 0.0, 0.04) * bump(average - aside, 0.0, 0.03)
+    return np.asarray((near * broad).sum(axis=1) / (near * average).sum(axis=1))[:, None]
+
+
 def _front(cloud: Cloud, neck: Floats, side: float, of: Garment) -> Accessory:
     """The front of an open jacket, from its edge to where it lies on the chest; side: 1 left, -1 right."""
     rows, columns = 30, 10
     size = neck[2] / load_chart().heads["neck01"][2]
     up, out = np.linspace(1.04, 0.03, rows)[:, None], np.linspace(0.0, 1.0, columns)
-    edge = size * (half_opening(up) - 0.006)
+    wide = _broadness(cloud, side, up * neck[2], half_opening(up))
     origin = np.zeros((rows, columns, 3)) + (-0.03, 0.0, 0.0)
-    origin[..., 1] = side * (edge + size * 0.085 * out)
+    origin[..., 1] = side * (wide * (half_opening(up) + 0.085 * out) - 0.006 * size)
     origin[..., 2] = up * neck[2]
     free = rp.power(1 - out, 1.5)
     stands = 0.012 + 0.022 * np.clip((0.8 - up) / 0.6, 0.0, 1.0) + 0.004 * rp.sin(14.0 * up + side)

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from cabinpose._native import cabin as native
-from cabinpose.core import CABINPOSE, Bytes, ConfigError, Floats, Floats32, Ints32, apply, cross, transform
+from cabinpose.core import CABINPOSE, Bytes, ConfigError, Floats, Floats32, Ints32, Matrix, apply, cross, transform
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.cabin.model import BeltAnchors, Cabin, Seat, SeatSetting, Vector
 from cabinpose.scene.cabin.shading import to_surface
@@ -39,6 +39,10 @@ _PAST_M = 0.15  # of a tongue from the middle of the body, towards its buckle
 # Of the tongue of a belt that hangs: how far down to the lap's anchor it is, off that line to the door and to the back (assumed).
 _DOWN, _TO_DOOR_M, _TO_BACK_M = 0.42, 0.04, 0.06
 STEPS = 40  # cross-sections of a ribbon
+# Cosines of the angle within which a lap part is straight, on its way to the buckle, and of that off up and ahead at the side.
+_STRAIGHT, _ASIDE_OF = 0.985, 0.55
+_APART_M = 1e-4  # of the cross-sections of a ribbon, at least
+_BELOW_M = (0.005, 0.03)  # of a part before the chest, below the lap part: from where on it ends there, and wholly so
 
 # Bones of the trunk, by which the flesh about the shoulders is told from the rest of it: ends, the piece of the bone (0 first end
 # .. 1 second), and the girth of the flesh around it (m).
@@ -112,6 +116,7 @@ class Wearer(NamedTuple):
             outer, buckle = sorted(lap_guides, key=lambda at: float(rp.norm(at - anchors.outer_lap)))
             front_of_pelvis = body.crease()
             courses += [_Course(a, a + ahead, b, None) for a, b in ((anchors.outer_lap, outer), (buckle, anchors.buckle))]
+        lap = _ribbon(body, _Course(outer, front_of_pelvis, buckle, ahead + up, lap=True), gap_m)
         if worn == "behind_back":
             behind = body.at["chest"] + 0.3 * (shoulder - body.at["neck"]) - 0.12 * size * ahead
             courses += [_Course(start, collar, behind, None), _Course(behind, collar, anchors.buckle, None)]
@@ -126,8 +131,12 @@ class Wearer(NamedTuple):
                 courses.append(_Course(start, collar, guide, None))
                 start = guide
             courses.append(_Course(start, _kept_in_front(start, collar, buckle, front), buckle, front))
-        courses.append(_Course(outer, front_of_pelvis, buckle, ahead + up, lap=True))
-        return merge([_ribbon(body, course, gap_m) for course in courses])
+        laid = [_ribbon(body, course, gap_m) for course in courses]
+        upright = _upright(body, seat.vehicle_from_seat(setting))
+        if worn == "worn" and guide is None and (meet := _met(laid[-1], lap, ahead + up, upright)) is not None:
+            over_lap = _ribbon(body, _Course.before(start, _kept_in_front(start, collar, meet, front), meet, front), gap_m)
+            laid[-1] = over_lap if _drawn_out(over_lap) else laid[-1]
+        return merge([*laid, lap])
 
     def belt_in_hand(self, seat: Seat, setting: SeatSetting, cabin: Cabin, tongue: Vector, *, gap_m: float = 0.004) -> Surface:
         """The belt of a seat while a hand draws it across: from its guide to the tongue, and from there to the lap's anchor.
@@ -416,6 +425,41 @@ class _Course(NamedTuple):
         """One whose ends are the same way to the front, so that not they but what lies between tells that side of the body."""
         chord = (end - start) / rp.norm(end - start)
         return cls(start, through, end, front - (rp.matmul(front, chord)) * chord)
+
+
+def _drawn_out(ribbon: Surface) -> bool:
+    """Whether none of a ribbon's cross-sections lie on each other, as at an end that is within what it lies on."""
+    steps = np.diff(ribbon.vertices.reshape(2, STEPS, 3, 3)[0], axis=0)
+    return bool((np.einsum("sri,sri->sr", steps, steps) > _APART_M**2).all())
+
+
+def _upright(body: _Trunk, vehicle_from_seat: Matrix) -> float:
+    """1 of who sits straight in a seat, 0 of who leans aside or turns far: there the belt's plane goes to the buckle."""
+    turned, aside = (abs(rp.matmul(each, vehicle_from_seat[:3, 1])) for each in (body.ahead, body.up))
+    return float((1.0 - smoothstep(turned, 0.28, 0.5)) * (1.0 - smoothstep(aside, 0.10, 0.25)))
+
+
+def _met(chest: Surface, lap: Surface, out: Vector, most: float) -> Vector | None:
+    """(3,) m: where the part of a belt before the chest meets the lap part, None where that is the buckle.
+
+    Beside who has slid down, or sits in a wide skirt, a straight way to the buckle goes through hip and thigh, below the lap
+    part; there it ends on the lap part, at most where that turns to the side of the body. out: (3,) up and ahead, of any length.
+    """
+    string = chest.vertices.reshape(2, STEPS, 3, 3)[0, :, 1].astype(np.float64)
+    rows, over = (each.reshape(2, STEPS, 3, 3)[0, :, 1].astype(np.float64) for each in (lap.vertices, lap.normals))
+    across = (rows[-1] - rows[0]) / rp.norm(rows[-1] - rows[0])
+    beside = np.abs(rp.matmul(string[STEPS // 2 :], across)[:, None] - rp.matmul(rows, across)).argmin(axis=1)
+    below = ((rows[beside] - string[STEPS // 2 :]) * over[beside]).sum(axis=1)
+    share = most * float(smoothstep(below.max(), *_BELOW_M))
+    if share == 0.0:
+        return None
+    along = np.diff(rows, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    bent = (rp.matmul(along, along[-1]) < _STRAIGHT) & (rp.matmul(over[1:], out) > _ASIDE_OF * rp.norm(out))
+    turns = max(int(np.flatnonzero(bent)[-1]) + 1 if bent.any() else 0, STEPS // 2)
+    at = (STEPS - 1) - share * (STEPS - 1 - turns)
+    place = np.stack([np.interp(at, np.arange(STEPS), column) for column in (rows + 2.0 * WEBBING_THICKNESS * over).T])
+    return np.asarray(place)
 
 
 def _ribbon(body: _Trunk, course: _Course, gap: float, width: float = WEBBING_WIDTH) -> Surface:
