@@ -115,7 +115,7 @@ def draped(kind: str, variant: int, ground: Ground, below: Sequence[Surface]) ->
 
     def cloth(x0: float, x1: float, left: float, right: float, slant: float = 0.0, above: float = 0.0) -> Solid:
         """A piece from x0 to x1 between two sides (y, m); slant: how far it is moved to the left at its end; above: another."""
-        rows, columns = (max(int(math.ceil(side / _MESH_M)), _FEWEST) for side in (x1 - x0, right - left))
+        rows, columns = (max(math.ceil(side / _MESH_M), _FEWEST) for side in (x1 - x0, right - left))
         s, t = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
         wave = 0.012 * rp.sin(9.0 * s + 7.0 * t + phase)
         px = x0 + s * (x1 - x0) + wave * (t - 0.5)
