@@ -161,11 +161,11 @@ def _lower_half(height: Floats, of: Bools) -> Ints:
 class Foam(NamedTuple):
     """A seat, in its frame, and the skin that meets it: first that of the back, then that of seat and thighs.
 
-    q: (D,) rad, of which hips and knees follow the thighs · skin_index, skin_weight (R, K), rest (R, 3): of `Person.skin_weights` ·
-    n_back: how many of the rows are of the back · thigh: (R - n_back,) which of the others are · normal: (3,) out of the backrest ·
-    up: along the torso line · cushion: out of the cushion, whose free surface is at `free_cushion` along it · behind, sunk,
-    thighs_sunk: of the back along `normal`, of seat and thighs below the surface, m · size: stature against 1.75 m · femur: m ·
-    slides: whether the pelvis stays where it is, off the backrest.
+    q: (D,) rad, of which hips and knees follow the thighs · skin_index, skin_weight (R, K), rest (R, 3): of
+    `Person.skin_weights` · n_back: how many of the rows are of the back · thigh: (R - n_back,) which of the others are · normal:
+    (3,) out of the backrest · up: along the torso line · cushion: out of the cushion, whose free surface is at `free_cushion`
+    along it · behind, sunk, thighs_sunk: of the back along `normal`, of seat and thighs below the surface, m · size: stature
+    against 1.75 m · femur: m · slides: whether the pelvis stays where it is, off the backrest.
     """
 
     q: Floats
