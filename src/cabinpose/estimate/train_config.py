@@ -44,6 +44,9 @@ class TrainConfig(BaseModel):
     ] = "depth"
     epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
     batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
+    epoch_steps: Annotated[
+        Positive | None, Field(description="Batches in an epoch, taken from one pass after another; default: those of one pass.")
+    ] = None
     patience: Annotated[int, Field(ge=0, description="Stop after so many epochs without a better one; 0 = never.")] = 0
     best_by: Annotated[
         Literal["figure", "loss"], Field(description="The best epoch has the greatest figure, or the least validation loss.")

@@ -164,8 +164,7 @@ class _Frames(lightning.LightningDataModule):
             self._training.epoch = trainer.current_epoch
             self._training.rank, self._training.ranks = trainer.global_rank, trainer.world_size
             return self._loader(self._training)
-        rng = np.random.Generator(np.random.Philox(key=(self._config.seed, trainer.current_epoch)))
-        order = rng.permutation(len(cast(Sized, self._training))).tolist()
+        order = epoch_order(self._config, len(cast(Sized, self._training)), trainer.current_epoch)
         return self._loader(self._training, sampler=order, drop_last=len(order) >= self._config.batch)
 
     def val_dataloader(self) -> DataLoader[Kept]:
@@ -174,6 +173,18 @@ class _Frames(lightning.LightningDataModule):
 
     def _loader(self, frames: Frames, **how: Any) -> DataLoader[Kept]:
         return DataLoader(frames, self._config.batch, num_workers=self._config.workers, collate_fn=collate, **how)
+
+
+def epoch_order(config: TrainConfig, frames: int, epoch: int) -> list[int]:
+    """The frames of an epoch in their order: a pass over all of them, or the next `epoch_steps` batches of passes in a row."""
+    count = frames if config.epoch_steps is None else config.epoch_steps * config.batch
+    first, last = epoch * count, (epoch + 1) * count
+    start = first // frames
+    passes = [
+        np.random.Generator(np.random.Philox(key=(config.seed, number))).permutation(frames)
+        for number in range(start, -(-last // frames))
+    ]
+    return np.concatenate(passes)[first - start * frames :][:count].tolist()
 
 
 class _BatchReport(Callback):
@@ -253,6 +264,10 @@ def fit(
         )
     if observers.progress is not None:
         observers.progress(0, 0, "reading frames")
+    if config.epoch_steps is not None and isinstance(training, GeneratedFrames):
+        raise ConfigError(
+            "epoch_steps counts batches of stored frames", hint="leave it out: --frames says how many are made an epoch"
+        )
     config = complete(config, training)  # reads frames where settings are measured: not before a run that is refused
     resumed = last if start.resume and last.exists() else None
     if resumed is not None:
