@@ -25,7 +25,7 @@ from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
 from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
-from cabinpose.estimate.training import Detector, check_same, complete, fit, frame_spec, load_detector
+from cabinpose.estimate.training import Detector, check_same, complete, epoch_order, fit, frame_spec, load_detector
 from cabinpose.estimate.unet.config import MERGED
 
 ONE = Machines(1)
@@ -431,3 +431,13 @@ def test_a_run_in_bfloat16_is_the_one_in_float32_where_the_cpu_has_none(tmp_path
         told[precision] = [str(each.message) for each in caught if "in place of" in str(each.message)]
     assert [len(lines) for lines in told.values()] == [0, 1]
     assert curve(tmp_path / "bf16-mixed") == curve(tmp_path / "32-true")
+
+
+def test_an_epoch_of_steps_goes_on_where_the_last_one_ended() -> None:
+    """Epochs of 3 batches of 4 over 10 frames: all frames are seen before any is seen again, in the order of whole passes."""
+    config = TrainConfig(batch=4, epoch_steps=3, seed=5)
+    seen = [frame for epoch in range(5) for frame in epoch_order(config, 10, epoch)]
+    passes = [frame for number in range(6) for frame in epoch_order(TrainConfig(batch=4, seed=5), 10, number)]
+    assert seen == passes
+    assert all(sorted(seen[i : i + 10]) == list(range(10)) for i in range(0, 60, 10))
+    assert [len(epoch_order(config, frames, 7)) for frames in (1, 5, 1000)] == [12, 12, 12]

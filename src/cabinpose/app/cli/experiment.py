@@ -213,7 +213,14 @@ def _show(command: Show) -> None:
     left = sum(cell.expected_s for cell in cells if not cell.done)
     if command.as_json:
         told = [
-            {"cell": c.name, "kind": kind, "frames": c.frame_count, "cpu_s": c.expected_s, "done": c.done}
+            {
+                "cell": c.name,
+                "kind": kind,
+                "frames": c.frame_count,
+                "cpu_s": c.expected_s,
+                "done": c.done,
+                "folder": str(c.folder),
+            }
             for c, kind in zip(cells, kinds, strict=True)
         ]
         print_json({"title": plan.experiment.title, "scale": command.scale, "cells": told, "cpu_s": total, "left_cpu_s": left})

@@ -198,8 +198,8 @@ def _known(kind: str, name: str, names: Any) -> None:
 def packaged() -> dict[str, Path]:
     """The files of the package by the name of their experiment."""
     folder = files("cabinpose.app.experiment") / "experiments"
-    found = sorted(path for path in map(str, folder.iterdir()) if path.endswith(".yaml"))
-    return {Path(path).stem: Path(path) for path in found}
+    found = sorted(Path(str(path)) for path in folder.iterdir())
+    return {path.stem: path for path in found if path.suffix == ".yaml" and not path.name.startswith("_")}
 
 
 def find(name: str) -> Path:
@@ -222,13 +222,14 @@ def _mapping(path: Path, depth: int) -> dict[str, Any]:
     for each in data.get("data", {}).values() if isinstance(data.get("data"), dict) else ():
         if isinstance(each, dict) and isinstance(each.get("folder"), str):
             each["folder"] = str(path.parent / each["folder"])
-    base = data.pop("extends", None)
-    if base is None:
-        return data
-    if not depth:
+    bases = data.pop("extends", None) or []
+    if bases and not depth:
         raise ConfigError(f"{path} builds on too many files", hint="leave out `extends`, or end the circle")
-    beside = path.parent / str(base)
-    return merged(_mapping(beside if beside.suffix and beside.exists() else find(str(base)), depth - 1), data)
+    whole: dict[str, Any] = {}
+    for base in [bases] if isinstance(bases, str) else bases:
+        beside = path.parent / (str(base) if str(base).endswith((".yaml", ".yml")) else f"{base}.yaml")
+        whole = merged(whole, _mapping(beside if beside.exists() else find(str(base)), depth - 1))
+    return merged(whole, data)
 
 
 def merged(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose import __version__
-from cabinpose.app.experiment.config import Data, Part, Scale, merged
+from cabinpose.app.experiment.config import Data, Experiment, FineTuning, Part, Scale, Training, merged
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
 from cabinpose.store import dataset_id, frame_mask, open_dataset, read_manifest
@@ -90,32 +91,75 @@ def digest(facts: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def pieces_of(name: str, data: Data, scale: Scale, given: Path | None, out: Path) -> tuple[Piece, ...]:
-    """What a dataset is made of at a scale; `given`: a folder of the user's in its place; `out`: where stand-ins are made.
+Wanted = dict[tuple[str, ...], int]
+"""The most frames that a training or a test draws of a dataset, by the subjects that it selects; () = of all."""
 
-    Raises ConfigError for scenes that cannot be made, DatasetError for a folder without a dataset.
+
+def wanted_frames(experiment: Experiment, scale: Scale) -> dict[str, Wanted]:
+    """What is drawn of each dataset at a scale."""
+    rows: list[Training | FineTuning] = [*experiment.trainings.values()]
+    rows += [row.fine_tune for row in experiment.trainings.values() if row.fine_tune]
+    result: dict[str, Wanted] = {name: {} for name in experiment.data}
+    for parts in [[*(*row.train, *row.validation)] for row in rows] + [[*test.frames] for test in experiment.tests.values()]:
+        counts: Counter[tuple[str, tuple[str, ...]]] = Counter()
+        for part in parts:
+            counts[part.data, part.subject] += scale.count(part.frames, part.scaled) if part.frames else 0
+        for (name, subjects), count in counts.items():
+            result[name][subjects] = max(result[name].get(subjects, 0), count)
+    return result
+
+
+def pieces_of(name: str, data: Data, scale: Scale, wanted: Wanted, given: Path | None, out: Path) -> tuple[Piece, ...]:
+    """What a dataset is made of at a scale.
+
+    Parameters
+    ----------
+    name, data
+        The dataset.
+    scale
+        Of the numbers of frames.
+    wanted
+        What is drawn of it at this scale: where rounding, or the least number of frames, asks for more, more are made.
+    given
+        A folder of the user's in its place.
+    out
+        Where stand-ins are made.
+
+    Raises
+    ------
+    ConfigError
+        For scenes that cannot be made.
+    DatasetError
+        For a folder without a dataset.
     """
     folder = given or data.folder
     if folder is not None:
         return (_folder_piece(name, folder),)
     plain, counts = dict(data.synth or {}), data.frames
     if isinstance(counts, Mapping):
-        own = [
-            _of_subject(name, data, scale, subject, frames, data.seed + number)
-            for number, (subject, frames) in enumerate(counts.items())
-        ]
-        return tuple(_stand_in(*each, out) for each in own)
+        scaled = {subject: scale.count(frames) for subject, frames in counts.items()}
+        if scale.frames < 1.0:
+            for subjects, count in wanted.items():
+                who = [subject for subject in scaled if not subjects or subject in subjects]
+                if count > sum(scaled[subject] for subject in who):
+                    scaled |= {subject: max(scaled[subject], -(-count // len(who))) for subject in who}
+        return tuple(
+            _stand_in(f"{name}/{subject}", _of_subject(name, data, subject), frames, data.seed + number, out)
+            for number, (subject, frames) in enumerate(scaled.items())
+        )
+    most = max(wanted.values(), default=0) if scale.frames < 1.0 else 0
     config = _parsed(name, plain)
     scene = config.scene
     if counts is None and isinstance(scene, CabinScene) and scene.factorial is not None:
-        poses = max(math.ceil(scene.factorial.poses * scale.frames), 1)
+        of_each = (config.frames or 1) / scene.factorial.poses
+        poses = max(math.ceil(scene.factorial.poses * scale.frames), math.ceil(most / of_each), 1)
         plain = merged(plain, {"scene": {"factorial": {"poses": poses}}})
         config = _parsed(name, plain)
     elif counts is None:
         raise ConfigError(
             f"data.{name}: it is not said how many frames", hint="give `frames`; scenes are drawn at random without end"
         )
-    frames = config.frames_or_all(None) if counts is None else scale.count(counts)
+    frames = config.frames_or_all(None) if counts is None else max(scale.count(counts), most)
     return (_stand_in(name, config, frames, data.seed, out),)
 
 
@@ -126,13 +170,13 @@ def _folder_piece(name: str, folder: Path) -> Piece:
     return Piece(name, folder.resolve(), key, dataset.sizes["frame"], people, frozenset(_cars(dataset)))
 
 
-def _of_subject(name: str, data: Data, scale: Scale, subject: str, frames: int, seed: int) -> tuple[str, SynthConfig, int, int]:
+def _of_subject(name: str, data: Data, subject: str) -> SynthConfig:
     """The scenes of one subject: the dataset's, with nobody else in them."""
     plain = merged(dict(data.synth or {}), data.changes.get(subject, {}))
-    own = plain.get("people", {}).get("own", {}) if isinstance(plain.get("people"), Mapping) else {}
-    who = {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
-    plain["people"] = {**plain.get("people", {}), **who}
-    return f"{name}/{subject}", _parsed(f"{name}/{subject}", plain), scale.count(frames), seed
+    people = dict(plain.get("people", {}))
+    own = people.get("own", {})
+    people |= {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
+    return _parsed(f"{name}/{subject}", plain | {"people": people})
 
 
 def _parsed(name: str, plain: Mapping[str, Any]) -> SynthConfig:
@@ -153,7 +197,7 @@ def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path)
         cars = {(car if isinstance(car, str) else str(getattr(car, "name", "")), None) for car in config.scene.cars}
         cars |= {(f"C{number:04d}", seed) for number in range(config.scene.random_cars)}
     return Piece(
-        name, out / "data" / f"{name.replace('/', '-')}-{key}", key, frames, frozenset(named | crowd), frozenset(cars), text, seed
+        name, out / "data" / key, key, frames, frozenset(named | crowd), frozenset(cars), text, seed
     )  # fmt: skip
 
 

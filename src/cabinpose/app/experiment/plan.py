@@ -9,7 +9,7 @@ from typing import Any
 
 from cabinpose.app.experiment.cells import Cell, DataCell, TestCell, TrainCell
 from cabinpose.app.experiment.config import Experiment, Part, Scale, Training, merged
-from cabinpose.app.experiment.frames import Piece, Source, check_subjects, contents, digest, pieces_of
+from cabinpose.app.experiment.frames import Piece, Source, check_subjects, contents, digest, pieces_of, wanted_frames
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.estimate import METHODS, TrainConfig
 from cabinpose.store import validated
@@ -22,8 +22,8 @@ _NAMES = 5  # of people in a message
 class Plan:
     """The cells of an experiment at a scale.
 
-    data: the pieces of each dataset · trained: by training, a cell for each repeat · tested: by training and test, likewise ·
-    first: trainings that others are tuned from.
+    data: the pieces of each dataset that any cell needs · trained: by training, a cell for each repeat · tested: by training and
+    test, likewise · first: trainings that others are tuned from.
     """
 
     experiment: Experiment
@@ -39,7 +39,7 @@ class Plan:
         """All cells, each once, none before those that it needs."""
         rows = [cell for cells in self.trained.values() for cell in cells]
         tests = [cell for cells in self.tested.values() for cell in cells]
-        return list({cell.key: cell for cell in [*self.made, *self.first, *rows, *tests]}.values())
+        return list({cell.key: cell for cell in reversed([*self.made, *self.first, *rows, *tests])}.values())[::-1]
 
     def chosen(self, only: Sequence[str]) -> list[Cell]:
         """The cells of some trainings, tests or datasets by name ("R1", its second repeat "R1.2", "real"), with what they need.
@@ -110,15 +110,19 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
         if name not in experiment.data:
             raise unknown_name("dataset", name, list(experiment.data))
     scale = experiment.scale(scale_name)
-    data = {name: pieces_of(name, each, scale, given.get(name), out) for name, each in experiment.data.items()}
+    wanted = wanted_frames(experiment, scale)
+    data = {name: pieces_of(name, each, scale, wanted[name], given.get(name), out) for name, each in experiment.data.items()}
     plan = _Planner(experiment, scale, data, out)
     rows = {name: plan.training(name, row) for name, row in experiment.trainings.items()}
     trained = {name: tuple(cells) for name, (_, cells) in rows.items()}
     first = tuple(cell for before, _ in rows.values() for cell in before)
     tests = experiment.tests
     tested = {(row, test): tuple(plan.test(test, cell) for cell in cells) for row, cells in trained.items() for test in tests}
-    made = tuple(plan.made(piece) for pieces in data.values() for piece in pieces if piece.config)
-    return Plan(experiment, scale, data, made, first, trained, tested)
+    every = [cell for cells in (*trained.values(), *tested.values(), first) for cell in cells]
+    needed = {key for cell in every for key in cell.needs}
+    used = {name: tuple(piece for piece in pieces if piece.key in needed or not piece.config) for name, pieces in data.items()}
+    made = tuple(plan.made(piece) for pieces in used.values() for piece in pieces if piece.config)
+    return Plan(experiment, scale, used, made, first, trained, tested)
 
 
 class _Planner:
@@ -129,7 +133,7 @@ class _Planner:
 
     def made(self, piece: Piece) -> DataCell:
         """The cell that generates a stand-in; its record lies beside the dataset."""
-        folder = self._out / "made" / piece.folder.name
+        folder = self._out / "made" / piece.key
         return DataCell(f"data {piece.name}", piece.key, folder, (), piece.frames * FRAME_S, piece)
 
     def training(self, name: str, row: Training) -> tuple[list[TrainCell], list[TrainCell]]:
@@ -167,8 +171,9 @@ class _Planner:
         slots = tuple(METHODS[trained.recipe["method"]].settings(trained.recipe["settings"]).slots)
         key = digest({"trained": trained.key, "frames": [s.facts for s in sources], "slots": slots})
         told, frames = f"{trained.name} on {name}", sum(s.frames for s in sources)
-        folder = self._out / "tested" / f"{_file_name(told)}-{key}"
-        return TestCell(told, key, folder, (trained.key, *_made(sources)), frames * FRAME_S, trained, sources, slots)
+        return TestCell(
+            told, key, self._out / "tested" / key, (trained.key, *_made(sources)), frames * FRAME_S, trained, sources, slots
+        )
 
     def _train(
         self, name: str, config: TrainConfig, train: Sequence[Part], validation: Sequence[Part], begins: TrainCell | None = None
@@ -181,7 +186,7 @@ class _Planner:
         samples = config.epochs * (config.batch * config.epoch_steps if config.epoch_steps else frames)
         expected = samples * self._scale.sample_s + config.epochs * held * self._scale.sample_s / 3  # forwards alone
         needs = (*((begins.key,) if begins else ()), *_made((*learnt, *judged)))
-        folder = self._out / "trained" / f"{_file_name(name)}-{key}"
+        folder = self._out / "trained" / f"{config.method}-{key}"  # by its key: other rows and files may name it otherwise
         return TrainCell(name, key, folder, needs, expected, recipe, learnt, judged, begins)
 
     def _source(self, part: Part, where: str) -> Source:
@@ -214,10 +219,6 @@ class _Planner:
 def _made(sources: Iterable[Source]) -> list[str]:
     """The keys of the cells that make the datasets of some parts."""
     return list(dict.fromkeys(piece.key for source in sources for piece in source.pieces if piece.config))
-
-
-def _file_name(name: str) -> str:
-    return "".join(c if c.isalnum() or c in ".-" else "-" for c in name)
 
 
 def _refuse_shared(kind: str, shared: set[Any], one: str, other: str, meant: str = "") -> None:
