@@ -178,7 +178,7 @@ def test_all_files_are_listed_and_shown(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path) -> None:
-    second = {
+    second: dict[str, Any] = {
         "R2": {"train": [{"data": "real", "subject": ["P1"], "frames": 3}], "validation": [{"data": "real", "subject": ["P2"]}]}
     }
     before = make_plan(load(write({"trainings": second})), "paper", tmp_path, {})

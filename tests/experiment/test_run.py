@@ -66,14 +66,14 @@ def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_pat
     plan = make_plan(load(write()), "paper", tmp_path / "out", {})
     make_cells(plan.made[:1], 1, lambda *_: None)
     folder = plan.made[0].piece.folder  # of P1 alone
-    everybody = {"R1": {"train": [{"data": "real"}], "validation": [{"data": "real"}], "may_share": ["subject"]}}
-    tests = {"T": {"frames": [{"data": "real"}], "may_share": ["car"]}}
+    everybody: dict[str, Any] = {"R1": {"train": [{"data": "real"}], "validation": [{"data": "real"}], "may_share": ["subject"]}}
+    tests: dict[str, Any] = {"T": {"frames": [{"data": "real"}], "may_share": ["car"]}}
     file = write({"trainings": everybody, "tests": tests})
     words = ("--scale", "paper", "--out", tmp_path / "more", "--data", f"real={folder}")
     done = run("experiment", "run", file, *words)
     assert (done.code, "share the subject P1" in done.err) == (2, True), done.err
     tests["T"]["may_share"].append("subject")
-    everybody["R1"]["validation"][0]["frames"] = 1  # type: ignore[index]
+    everybody["R1"]["validation"][0]["frames"] = 1
     done = run("experiment", "run", write({"trainings": everybody, "tests": tests}), *words)
     assert (done.code, "share the frame" in done.err) == (2, True), done.err
     assert not list((tmp_path / "more").rglob("last.ckpt"))
