@@ -20,12 +20,12 @@ from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.segmentation import class_table
 from cabinpose.estimate import train_config
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
+from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate, epoch_order
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
 from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
-from cabinpose.estimate.training import Detector, check_same, complete, epoch_order, fit, frame_spec, load_detector
+from cabinpose.estimate.training import Detector, check_same, complete, fit, frame_spec, load_detector
 from cabinpose.estimate.unet.config import MERGED
 
 ONE = Machines(1)
@@ -434,10 +434,17 @@ def test_a_run_in_bfloat16_is_the_one_in_float32_where_the_cpu_has_none(tmp_path
 
 
 def test_an_epoch_of_steps_goes_on_where_the_last_one_ended() -> None:
-    """Epochs of 3 batches of 4 over 10 frames: all frames are seen before any is seen again, in the order of whole passes."""
-    config = TrainConfig(batch=4, epoch_steps=3, seed=5)
-    seen = [frame for epoch in range(5) for frame in epoch_order(config, 10, epoch)]
-    passes = [frame for number in range(6) for frame in epoch_order(TrainConfig(batch=4, seed=5), 10, number)]
+    """Epochs of 12 of 10 frames: all frames are seen before any is seen again, in the order of whole passes."""
+    seen = [frame for epoch in range(5) for frame in epoch_order(10, 12, epoch, 5)]
+    passes = [frame for number in range(6) for frame in epoch_order(10, 10, number, 5)]
     assert seen == passes
     assert all(sorted(seen[i : i + 10]) == list(range(10)) for i in range(0, 60, 10))
-    assert [len(epoch_order(config, frames, 7)) for frames in (1, 5, 1000)] == [12, 12, 12]
+    assert epoch_order(10, 10, 3, 5) == np.random.Generator(np.random.Philox(key=(5, 3))).permutation(10).tolist()
+    assert [len(epoch_order(frames, 12, 7, 5)) for frames in (1, 5, 1000)] == [12, 12, 12]
+
+
+def test_generated_frames_have_no_steps(tmp_path: Path) -> None:
+    config = TrainConfig(method="compact", settings=small.TINY["compact"], epoch_steps=3)
+    made = GeneratedFrames(small.frame, 4, frame_spec(config), small.PERSONS)
+    with pytest.raises(ConfigError, match="epoch_steps counts batches of stored frames"):
+        fit(config, made, made, tmp_path / "run")

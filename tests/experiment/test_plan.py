@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from cabinpose.app.experiment.config import Scale, load, merged, packaged
+from cabinpose.app.experiment.config import RunScale, load, merged, packaged
 from cabinpose.app.experiment.frames import wanted_frames
-from cabinpose.app.experiment.plan import Plan, make_plan
+from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
 from cabinpose.app.experiment.results import frames_of
 from cabinpose.core.errors import ConfigError
 
@@ -28,7 +28,7 @@ TESTED = {"re1": {"S5": 1730}, "se1": {"S3": 2636}, "fm": {"FM1": 8763, "FM2": 2
 VALIDATED = {"re1": {"M1": 702}, "se1": {"R10": 900}, "fm": {"FT1": 3430, "FT2": 892, "FT3": 4322}}
 
 
-def planned(name: str, scale: str, out: Path) -> Plan:
+def planned(name: str, scale: str, out: Path) -> ExperimentPlan:
     return make_plan(load(packaged()[name]), scale, out, {})
 
 
@@ -75,7 +75,7 @@ def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
 
 
 def test_a_scale_keeps_numbers_above_the_least() -> None:
-    scale = Scale(frames=0.1, least=200)
+    scale = RunScale(frames=0.1, least=200)
     assert [scale.count(frames) for frames in (6946, 900, 150)] == [695, 200, 150]
     assert scale.count(20, scaled=False) == 20
 

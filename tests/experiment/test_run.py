@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from distributed import LocalCluster
 
-from cabinpose.app.experiment.cells import Cell
+from cabinpose.app.experiment.cells import ExperimentCell
 from cabinpose.app.experiment.config import load
 from cabinpose.app.experiment.plan import make_plan
 from cabinpose.app.experiment.schedule import make_cells
@@ -101,7 +101,7 @@ def test_draws_are_the_same_nested_and_apart(write: Write, tmp_path: Path) -> No
 
 
 @dataclass(frozen=True)
-class Note(Cell):
+class Note(ExperimentCell):
     """A cell that notes which of those that it needs were there."""
 
     before: tuple[Path, ...] = ()

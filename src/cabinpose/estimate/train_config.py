@@ -102,10 +102,14 @@ class Start:
 
 @dataclass(frozen=True)
 class Machines:
-    """Where a run computes, as Lightning understands it: devices of a machine, and machines."""
+    """Where a run computes, as Lightning understands it: devices of a machine, and machines; and on how many threads of a CPU.
+
+    threads: default: those that torch takes. The last bits of sums depend on them.
+    """
 
     devices: int | str = "auto"
     nodes: int = 1
+    threads: int | None = None
 
 
 @dataclass(frozen=True)

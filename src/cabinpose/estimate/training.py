@@ -6,12 +6,7 @@ A run that was killed goes on from its last whole epoch with the numbers that it
 
 from __future__ import annotations
 
-import logging
-import os
-import re
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence, Sized
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -27,13 +22,14 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, lock, make_folder, output_errors, write_whole
+from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, make_folder, output_errors, write_whole
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import Mirror, mirrored_labels
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.curves import Curves
-from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, trained_on
+from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, epoch_order, trained_on
 from cabinpose.estimate.found import mirrored_slots
+from cabinpose.estimate.guards import alone, interruptible, quiet, too_little_memory
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.loggers import check_loggers, open_loggers
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
@@ -46,15 +42,6 @@ from cabinpose.store import merged_ranges
 
 _MEASURED = 500  # training frames that open settings are measured on
 _SEEDS = 0x7FFFFFFFFFFFFFFF
-_NOISE = (
-    ".*`IterableDataset` has `__len__` defined.*",
-    ".*does not have many workers.*",
-    ".*exists and is not empty.*",
-    ".*The number of training batches .* is smaller than the logging interval.*",
-    ".*isinstance\\(treespec, LeafSpec\\).*",
-    "(?s).*Grad strides do not match bucket view strides.*",
-)
-_NO_MEMORY = re.compile("can't allocate memory|out of memory|bad_alloc|ALLOC_FAILED")
 
 
 def _network_method(name: str) -> NetworkMethod[Any]:
@@ -164,8 +151,10 @@ class _Frames(lightning.LightningDataModule):
             self._training.epoch = trainer.current_epoch
             self._training.rank, self._training.ranks = trainer.global_rank, trainer.world_size
             return self._loader(self._training)
-        order = epoch_order(self._config, len(cast(Sized, self._training)), trainer.current_epoch)
-        return self._loader(self._training, sampler=order, drop_last=len(order) >= self._config.batch)
+        config, frames = self._config, len(cast(Sized, self._training))
+        count = frames if config.epoch_steps is None else config.epoch_steps * config.batch
+        order = epoch_order(frames, count, trainer.current_epoch, config.seed)
+        return self._loader(self._training, sampler=order, drop_last=count >= config.batch)
 
     def val_dataloader(self) -> DataLoader[Kept]:
         """The validation frames in their order."""
@@ -173,18 +162,6 @@ class _Frames(lightning.LightningDataModule):
 
     def _loader(self, frames: Frames, **how: Any) -> DataLoader[Kept]:
         return DataLoader(frames, self._config.batch, num_workers=self._config.workers, collate_fn=collate, **how)
-
-
-def epoch_order(config: TrainConfig, frames: int, epoch: int) -> list[int]:
-    """The frames of an epoch in their order: a pass over all of them, or the next `epoch_steps` batches of passes in a row."""
-    count = frames if config.epoch_steps is None else config.epoch_steps * config.batch
-    first, last = epoch * count, (epoch + 1) * count
-    start = first // frames
-    passes = [
-        np.random.Generator(np.random.Philox(key=(config.seed, number))).permutation(frames)
-        for number in range(start, -(-last // frames))
-    ]
-    return np.concatenate(passes)[first - start * frames :][:count].tolist()
 
 
 class _BatchReport(Callback):
@@ -249,6 +226,8 @@ def fit(
     """
     start, machines, observers = with_old_keywords(start or Start(), machines or Machines(), observers or Observers(), old)
     check_loggers(observers.loggers)
+    if machines.threads is not None:
+        torch.set_num_threads(machines.threads)
     if isinstance(METHODS[config.method], ArrayMethod):
         if observers.loggers:
             raise ConfigError(f"{config.method} has no epochs to log", hint="leave --logger out")
@@ -282,7 +261,7 @@ def fit(
     average = [WeightAveraging(avg_fn=_moving_average(config.average))] if config.average else []
     curves = Curves(out, monitor, mode, config.patience, observers.draw)
     reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
-    with _quiet(), _too_little_memory(config.batch, last), open_loggers(observers.loggers, out / "log") as loggers:
+    with quiet(), too_little_memory(config.batch, last), open_loggers(observers.loggers, out / "log") as loggers:
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=usable_precision(config.precision),
             devices=machines.devices, num_nodes=machines.nodes,
@@ -297,7 +276,7 @@ def fit(
             detector.spare_batches = config.epochs * config.workers
         if start.init is not None and not last.exists():
             begin_with(detector, start.init, training)
-        with output_errors(out), _alone(out, trainer), _interruptible():
+        with output_errors(out), alone(out, trainer), interruptible():
             trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"
 
@@ -310,28 +289,6 @@ class _WholeCheckpoints(TorchCheckpointIO):
         buffer = BytesIO()
         torch.save(checkpoint, buffer)
         write_whole(Path(path), buffer.getvalue(), kind=ModelError)
-
-
-@contextmanager
-def _alone(out: Path, trainer: lightning.Trainer) -> Iterator[None]:
-    """Hold a run's folder, which no other run goes on with meanwhile; the processes of this one share it."""
-    held = lock(out, out, ModelError) if trainer.is_global_zero else None
-    try:
-        yield
-    finally:
-        if held is not None:
-            os.close(held)
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Ctrl-C within `fit` is a KeyboardInterrupt; Lightning ends the process with code 1."""
-    try:
-        yield
-    except SystemExit as left:
-        if isinstance(left.__context__, KeyboardInterrupt):
-            raise left.__context__ from None
-        raise
 
 
 def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: Path, progress: Progress | None) -> Path:
@@ -370,38 +327,6 @@ def _moving_average(decay: float) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
         return kept * mean + (1 - kept) * value
 
     return update
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silences Lightning's advice and its list of devices; its errors stay."""
-    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
-    levels = [logger.level for logger in loggers]
-    with warnings.catch_warnings():
-        for pattern in _NOISE:
-            warnings.filterwarnings("ignore", pattern)
-        for logger in loggers:
-            logger.setLevel(logging.ERROR)
-        try:
-            yield
-        finally:
-            for logger, level in zip(loggers, levels, strict=True):
-                logger.setLevel(level)
-
-
-@contextmanager
-def _too_little_memory(batch: int, last: Path) -> Iterator[None]:
-    """What torch, its devices and numpy raise for want of memory becomes a ConfigError that names the batch."""
-    try:
-        yield
-    except (MemoryError, RuntimeError) as error:  # torch's allocator on the CPU has no class of its own
-        if not isinstance(error, MemoryError | torch.OutOfMemoryError) and _NO_MEMORY.search(str(error)) is None:
-            raise
-        hint = "set a smaller `batch` in the file of --config"
-        if last.exists():
-            hint = "free memory and go on with --resume, or start a run with a smaller `batch` in another folder"
-        first = (str(error).splitlines() or ["no memory"])[0]
-        raise ConfigError(f"too little memory for batches of {batch} frames: {first}", hint=hint) from error
 
 
 def check_same(checkpoint: Path, config: TrainConfig) -> None:

@@ -32,8 +32,8 @@ from .parts import PartsReport as PartsReport
 from .parts import PartsValue as PartsValue
 from .parts import evaluate_parts as evaluate_parts
 from .parts import pairs as pairs
-from .repeats import Errors as Errors
 from .repeats import Measure as Measure
+from .repeats import ModelErrors as ModelErrors
 from .repeats import OverRepeats as OverRepeats
 from .repeats import accuracy_curve as accuracy_curve
 from .repeats import errors_of as errors_of

@@ -22,7 +22,7 @@ Measure = Literal["pckh", "auc", "pck", "mean_error", "iou", "person_iou"]
 found; of body parts: mean intersection over union, that of people as a whole (%)."""
 
 
-class Errors(NamedTuple):
+class ModelErrors(NamedTuple):
     """What a model's numbers are made of, over F frames: S people with J joints, or pixels by C true and found classes.
 
     frames: F · at: (S,) the frame of each person · error_px, error_m: (S, J) distance to the truth, infinite where the joint was
@@ -47,24 +47,24 @@ class OverRepeats(NamedTuple):
     each: tuple[float, ...]
 
 
-def errors_of(samples: Samples) -> Errors:
+def errors_of(samples: Samples) -> ModelErrors:
     """The errors of the samples of one model."""
     spaces = [np.where(s.found, s.error.astype(np.float64), np.inf) for s in (samples.px, samples.m)]
     px, m = (np.where(samples.counts & s.known, error, np.nan) for s, error in zip((samples.px, samples.m), spaces, strict=True))
     heads = (samples.px.head.astype(np.float64), samples.m.head.astype(np.float64))
-    return Errors(len(samples.frames), samples.at, px, m, *heads, np.zeros((0, 0, 0), np.int64))
+    return ModelErrors(len(samples.frames), samples.at, px, m, *heads, np.zeros((0, 0, 0), np.int64))
 
 
-def joined_errors(parts: Sequence[Errors]) -> Errors:
+def joined_errors(parts: Sequence[ModelErrors]) -> ModelErrors:
     """The errors on several datasets, one after the other, as those on one."""
     firsts = np.cumsum([0, *(part.frames for part in parts)])
     at = np.concatenate([part.at + first for part, first in zip(parts, firsts, strict=False)])
     rest = zip(*(part[2:] for part in parts), strict=True)
-    return Errors(int(firsts[-1]), at, *(np.concatenate(arrays) for arrays in rest))
+    return ModelErrors(int(firsts[-1]), at, *(np.concatenate(arrays) for arrays in rest))
 
 
 def over_repeats(
-    runs: Sequence[Errors], measure: Measure, *, space: str = "2d", threshold: float = 0.5,
+    runs: Sequence[ModelErrors], measure: Measure, *, space: str = "2d", threshold: float = 0.5,
     joints: Sequence[int] | None = None, resamples: int = 1000, seed: int = 0,
 ) -> OverRepeats:  # fmt: skip
     """A number over the repeats of a training.
@@ -94,7 +94,7 @@ def over_repeats(
     return OverRepeats(float(np.mean(each)), float(low[0]), float(high[0]), each)
 
 
-def accuracy_curve(run: Errors, thresholds: Array, space: str, joints: Sequence[int] | None = None) -> Array:
+def accuracy_curve(run: ModelErrors, thresholds: Array, space: str, joints: Sequence[int] | None = None) -> Array:
     """(T,) per cent of the joints that count within each of some thresholds (head sizes)."""
     errors, head = _joint_errors(run, space, joints)
     shares = errors / head
@@ -103,14 +103,14 @@ def accuracy_curve(run: Errors, thresholds: Array, space: str, joints: Sequence[
     return np.asarray(100.0 * np.searchsorted(known, thresholds, side="right") / total)
 
 
-def _joint_errors(run: Errors, space: str, joints: Sequence[int] | None) -> tuple[Array, Array]:
+def _joint_errors(run: ModelErrors, space: str, joints: Sequence[int] | None) -> tuple[Array, Array]:
     """(S, J) errors of some joints in a space, and (S, 1) head sizes."""
     errors, head = (run.error_px, run.head_px) if space == "2d" else (run.error_m, run.head_m)
     return (errors if joints is None else errors[:, list(joints)]), head[:, None]
 
 
 def _resampled(
-    run: Errors, measure: Measure, weights: NDArray[np.uint8], space: str, threshold: float, joints: Sequence[int] | None
+    run: ModelErrors, measure: Measure, weights: NDArray[np.uint8], space: str, threshold: float, joints: Sequence[int] | None
 ) -> Array:
     """(1 + B,) the number over all frames, then over those of each resample."""
     if measure in ("iou", "person_iou"):

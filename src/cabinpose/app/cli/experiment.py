@@ -17,13 +17,13 @@ from cabinpose.core import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cabinpose.app.experiment.cells import Cell
-    from cabinpose.app.experiment.plan import Plan
+    from cabinpose.app.experiment.cells import ExperimentCell
+    from cabinpose.app.experiment.plan import ExperimentPlan
     from cabinpose.evaluate import Report
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run(PrintsJson):
+class RunExperiment(PrintsJson):
     """Make the datasets, models and tests that a file names, and its page; what is there is not made again.
 
     What is wrong with the file or the frames is told before anything runs. An interrupted run goes on; it loses an epoch at most.
@@ -104,13 +104,13 @@ class Compare(PrintsJson):
     """Resamples of the bootstrap for the intervals; 0: no intervals."""
 
 
-COMMAND = one_of(run=Run, list=List, show=Show, report=Remake, compare=Compare)
+COMMAND = one_of(run=RunExperiment, list=List, show=Show, report=Remake, compare=Compare)
 _KINDS = ("data", "training", "test")
 
 
-def run(command: Run | List | Show | Remake | Compare) -> None:
+def run(command: RunExperiment | List | Show | Remake | Compare) -> None:
     """Do what the first word says; tables go to stdout, pages to folders."""
-    if isinstance(command, Run):
+    if isinstance(command, RunExperiment):
         _run(command)
     elif isinstance(command, List):
         _list(command)
@@ -122,7 +122,7 @@ def run(command: Run | List | Show | Remake | Compare) -> None:
         _compare(command)
 
 
-def _run(command: Run) -> None:
+def _run(command: RunExperiment) -> None:
     import os
 
     from cabinpose.app.experiment.cells import DataCell
@@ -144,7 +144,7 @@ def _run(command: Run) -> None:
     with progress(len(cells), "cells", start=len(cells) - len(missing)) as shown:
         done = len(cells) - len(missing)
 
-        def told(cell: Cell, record: dict[str, Any]) -> None:
+        def told(cell: ExperimentCell, record: dict[str, Any]) -> None:
             nonlocal done
             done += 1
             shown(done, f"{cell.name} made in {record['cpu_s']:.0f} CPU s")
@@ -164,7 +164,7 @@ def _run(command: Run) -> None:
     print(f"{len(missing)} of {len(cells)} cells made now; open {folder / 'index.html'}", file=sys.stderr)
 
 
-def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[Plan, dict[str, object]]:
+def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[ExperimentPlan, dict[str, object]]:
     """The plan of an experiment, and what was asked for, as plain data."""
     from cabinpose.app.experiment.config import find, load
     from cabinpose.app.experiment.plan import make_plan
@@ -183,7 +183,7 @@ def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[P
     return make_plan(experiment, scale, out.resolve(), given), asked
 
 
-def _tell(plan: Plan, results: Any) -> None:
+def _tell(plan: ExperimentPlan, results: Any) -> None:
     from cabinpose.app.experiment.page import remarks
     from cabinpose.app.experiment.results import table_rows
 

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.app.experiment.frames import Drawn, Piece, Source, draw, opened
+from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, draw, opened
 from cabinpose.core import ConfigError, make_folder, read_arrays, whole_file, write_whole
-from cabinpose.evaluate import Errors, EvaluationOptions, errors_of, joined_errors, samples_of
+from cabinpose.evaluate import EvaluationOptions, ModelErrors, errors_of, joined_errors, samples_of
 from cabinpose.store import MANIFEST_NAME
 from cabinpose.synth import Existing, SynthConfig, generate
 
@@ -41,7 +41,7 @@ def code_state() -> str:
 
 
 @dataclass(frozen=True)
-class Cell(ABC):
+class ExperimentCell(ABC):
     """One step.
 
     name: as people read it · key: of all that it depends on · folder: where it is kept · needs: keys of cells before it ·
@@ -90,10 +90,10 @@ class Cell(ABC):
 
 
 @dataclass(frozen=True)
-class DataCell(Cell):
+class DataCell(ExperimentCell):
     """A stand-in is generated, on one thread."""
 
-    piece: Piece
+    piece: DatasetPiece
 
     @property
     def done(self) -> bool:
@@ -113,15 +113,15 @@ class DataCell(Cell):
 
 
 @dataclass(frozen=True)
-class TrainCell(Cell):
+class TrainCell(ExperimentCell):
     """A model is trained, on one thread of the CPU, so that its weights do not depend on how many are trained at a time.
 
     recipe: a `TrainConfig` as plain data · begins: the training whose weights it begins with.
     """
 
     recipe: dict[str, Any]
-    train: tuple[Source, ...]
-    validation: tuple[Source, ...]
+    train: tuple[SelectedFrames, ...]
+    validation: tuple[SelectedFrames, ...]
     begins: TrainCell | None = None
 
     @property
@@ -146,13 +146,18 @@ class TrainCell(Cell):
         raise ConfigError(f"{self.folder} has no model", hint=f"remove {self.folder / RECORD} to train it again")
 
     def _made(self) -> dict[str, Any]:
-        import torch  # noqa: PLC0415 - seconds, which a run that has nothing to do should not take
-
-        from cabinpose.app.report.raster import write_curves  # noqa: PLC0415 - the same
+        from cabinpose.app.report.raster import write_curves  # noqa: PLC0415 - the same as below
         from cabinpose.app.training import stored_frames  # noqa: PLC0415 - the same
-        from cabinpose.estimate import Observers, Start, TrainConfig, export_onnx, fit, frame_spec  # noqa: PLC0415 - the same
+        from cabinpose.estimate import (  # noqa: PLC0415 - torch, whose seconds a run that has nothing to do should not take
+            Machines,
+            Observers,
+            Start,
+            TrainConfig,
+            export_onnx,
+            fit,
+            frame_spec,
+        )
 
-        torch.set_num_threads(1)
         config = TrainConfig.model_validate(self.recipe)
         learnt, judged = self.drawn()
         sides = (_sides(self.train, learnt), _sides(self.validation, judged))
@@ -163,7 +168,7 @@ class TrainCell(Cell):
             init = None if self.begins is None or last.exists() else self.begins.folder / "best.ckpt"
             best = fit(
                 config, training, validation, self.folder, start=Start(resume=last.exists(), init=init),
-                observers=Observers(draw=partial(write_curves, self.folder / "curves.png")),
+                machines=Machines(threads=1), observers=Observers(draw=partial(write_curves, self.folder / "curves.png")),
             )  # fmt: skip
         if best.suffix == ".ckpt":
             export_onnx(best, self.folder / "model.onnx", name=self.name.replace(" ", "-"), card={}, overwrite=True)
@@ -171,11 +176,11 @@ class TrainCell(Cell):
 
 
 @dataclass(frozen=True)
-class TestCell(Cell):
+class TestCell(ExperimentCell):
     """A model answers for the frames of a test; kept are the errors of every joint, or the pixels by class."""
 
     trained: TrainCell
-    frames: tuple[Source, ...]
+    frames: tuple[SelectedFrames, ...]
     slots: tuple[str, ...]
 
     @property
@@ -189,11 +194,11 @@ class TestCell(Cell):
             found.append(draw(source, found, f"test of {self.name}", whole_sequences=True))
         return found
 
-    def errors(self) -> tuple[Errors, tuple[str, ...]]:
+    def errors(self) -> tuple[ModelErrors, tuple[str, ...]]:
         """What was found: the errors, and the joints or parts that they are of."""
         arrays = read_arrays(self.folder / "errors.npz")
-        frames, *rest = (arrays[name] for name in Errors._fields)
-        return Errors(int(frames), *rest), tuple(map(str, arrays["names"]))
+        frames, *rest = (arrays[name] for name in ModelErrors._fields)
+        return ModelErrors(int(frames), *rest), tuple(map(str, arrays["names"]))
 
     def _made(self) -> dict[str, Any]:
         parts, names = [], []
@@ -208,7 +213,7 @@ class TestCell(Cell):
         return {"frames": whole.frames}
 
 
-def _sides(sources: Iterable[Source], drawn: Iterable[Drawn]) -> dict[str, Any]:
+def _sides(sources: Iterable[SelectedFrames], drawn: Iterable[Drawn]) -> dict[str, Any]:
     """The frames of some parts by name, each once."""
     result: dict[str, Any] = {}
     for source, frames in zip(sources, drawn, strict=True):
@@ -221,7 +226,7 @@ def _count(drawn: Iterable[Drawn]) -> int:
     return sum(len(positions) for each in drawn for _, positions in each)
 
 
-def _judged(dataset: Any, model: Path, slots: tuple[str, ...]) -> tuple[Errors, tuple[str, ...]]:
+def _judged(dataset: Any, model: Path, slots: tuple[str, ...]) -> tuple[ModelErrors, tuple[str, ...]]:
     """The errors of a model on a dataset, and the joints or the parts that they are of."""
     from cabinpose.app.models import opened_models  # noqa: PLC0415 - ONNX Runtime
     from cabinpose.core import Segmenter, confusion  # noqa: PLC0415 - with it
@@ -232,7 +237,7 @@ def _judged(dataset: Any, model: Path, slots: tuple[str, ...]) -> tuple[Errors, 
         count = len(found.parts) + 1
         counts = [confusion(t, a, count) for truth, answer in pairs(dataset, found) for t, a in zip(truth, answer, strict=True)]
         none, nobody = np.zeros((0, 1)), np.zeros(0)
-        errors = Errors(len(counts), np.zeros(0, np.int64), none, none, nobody, nobody, np.stack(counts))
+        errors = ModelErrors(len(counts), np.zeros(0, np.int64), none, none, nobody, nobody, np.stack(counts))
         return errors, tuple(part.name for part in found.parts)
     samples, _ = samples_of(dataset, found, EvaluationOptions(resamples=0), persons=slots)
     return errors_of(samples), samples.skeleton.joints

@@ -47,7 +47,7 @@ class Data(Keys):
         return self
 
 
-class Part(Keys):
+class FrameSelection(Keys):
     """Some frames of a dataset."""
 
     data: str = Field(description="Name of a dataset of the file.")
@@ -71,16 +71,16 @@ class Part(Keys):
 class FineTuning(Keys):
     """A second training that begins with the weights of the first one."""
 
-    train: tuple[Part, ...] = Field(min_length=1, description="Frames to learn from.")
-    validation: tuple[Part, ...] = Field(min_length=1, description="Frames that decide on the best epoch.")
+    train: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames to learn from.")
+    validation: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames that decide on the best epoch.")
     share: float = Field(0.1, gt=0, lt=1, description="Of the training's epochs; the first one has the rest.")
 
 
 class Training(Keys):
     """A row of the tables."""
 
-    train: tuple[Part, ...] = Field(min_length=1, description="Frames to learn from; several parts are mixed.")
-    validation: tuple[Part, ...] = Field(min_length=1, description="Frames that decide on the best epoch.")
+    train: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames to learn from; several parts are mixed.")
+    validation: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames that decide on the best epoch.")
     fine_tune: FineTuning | None = Field(None, description="What follows on other frames.")
     recipe: Mapping[str, Any] = Field({}, description="Changes to the experiment's recipe.")
     may_share: tuple[Literal["subject"], ...] = Field(
@@ -88,14 +88,14 @@ class Training(Keys):
     )
 
 
-class Test(Keys):
+class TestEntry(Keys):
     """Frames that models are judged on."""
 
-    frames: tuple[Part, ...] = Field(min_length=1, description="The frames; several parts follow each other.")
+    frames: tuple[FrameSelection, ...] = Field(min_length=1, description="The frames; several parts follow each other.")
     may_share: tuple[Shared, ...] = Field((), description="What they may share with frames of trainings.")
 
 
-class Column(Keys):
+class TableColumn(Keys):
     """A column of the table."""
 
     title: str = Field(description="What stands above it.")
@@ -115,7 +115,7 @@ class Curve(Keys):
     lines: Mapping[str, tuple[str, ...]] = Field(description="Trainings by the name of their line.")
 
 
-class Scale(Keys):
+class RunScale(Keys):
     """How large an experiment is run."""
 
     frames: float = Field(1.0, gt=0, description="Factor on all numbers of frames.")
@@ -138,11 +138,11 @@ class Experiment(Keys):
     source: str = Field("", description="Where it is from.")
     about: str = Field("", description="What is to be known of it, on its page.")
     recipe: Mapping[str, Any] = Field({}, description="Keys of a training's configuration, but epochs and seed.")
-    scales: Mapping[str, Scale] = Field({"paper": Scale()}, description="By name; `paper` has the file's own numbers.")
+    scales: Mapping[str, RunScale] = Field({"paper": RunScale()}, description="By name; `paper` has the file's own numbers.")
     data: Mapping[str, Data] = Field(min_length=1, description="The datasets by name.")
     trainings: Mapping[str, Training] = Field(min_length=1, description="The rows by name.")
-    tests: Mapping[str, Test] = Field(min_length=1, description="The tests by name.")
-    columns: tuple[Column, ...] = Field(min_length=1, description="The columns of the table.")
+    tests: Mapping[str, TestEntry] = Field(min_length=1, description="The tests by name.")
+    columns: tuple[TableColumn, ...] = Field(min_length=1, description="The columns of the table.")
     curves: tuple[Curve, ...] = Field((), description="Columns drawn over numbers of frames.")
     published: Mapping[str, Mapping[str, float]] = Field({}, description="Figures of the source, by training and column.")
 
@@ -166,13 +166,13 @@ class Experiment(Keys):
         return self
 
     @property
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[FrameSelection]:
         """Every selection of frames in the file."""
         rows: list[Training | FineTuning] = [*self.trainings.values()]
         rows += [row.fine_tune for row in self.trainings.values() if row.fine_tune]
         return [*(p for row in rows for p in (*row.train, *row.validation)), *(p for t in self.tests.values() for p in t.frames)]
 
-    def scale(self, name: str) -> Scale:
+    def scale(self, name: str) -> RunScale:
         """The scale of a name, or the paper's with frames and batches times a factor, never below 200 frames.
 
         Raises ConfigError for a name that is neither.

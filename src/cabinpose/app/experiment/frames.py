@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose import __version__
-from cabinpose.app.experiment.config import Data, Experiment, FineTuning, Part, Scale, Training, merged
+from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameSelection, RunScale, Training, merged
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
 from cabinpose.store import dataset_id, frame_mask, open_dataset, read_manifest
@@ -30,7 +30,7 @@ _DRAW = 39  # seed of the order in which frames are drawn: of the same selection
 
 
 @dataclass(frozen=True)
-class Piece:
+class DatasetPiece:
     """A dataset folder: a user's, or a stand-in that is generated.
 
     name: of the dataset, and of the subject whose frames alone it has · key: of what is in it · people, cars: who and what may be
@@ -47,16 +47,16 @@ class Piece:
     seed: int = 0
 
 
-Drawn = list[tuple[Piece, NDArray[np.int64]]]
+Drawn = list[tuple[DatasetPiece, NDArray[np.int64]]]
 """Positions of frames, rising, by their piece."""
 
 
 @dataclass(frozen=True)
-class Source:
+class SelectedFrames:
     """A part of a dataset as a cell takes it: the numbers of frames are those of the scale."""
 
-    part: Part
-    pieces: tuple[Piece, ...]
+    part: FrameSelection
+    pieces: tuple[DatasetPiece, ...]
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -95,7 +95,7 @@ Wanted = dict[tuple[str, ...], int]
 """The most frames that a training or a test draws of a dataset, by the subjects that it selects; () = of all."""
 
 
-def wanted_frames(experiment: Experiment, scale: Scale) -> dict[str, Wanted]:
+def wanted_frames(experiment: Experiment, scale: RunScale) -> dict[str, Wanted]:
     """What is drawn of each dataset at a scale."""
     rows: list[Training | FineTuning] = [*experiment.trainings.values()]
     rows += [row.fine_tune for row in experiment.trainings.values() if row.fine_tune]
@@ -109,7 +109,7 @@ def wanted_frames(experiment: Experiment, scale: Scale) -> dict[str, Wanted]:
     return result
 
 
-def pieces_of(name: str, data: Data, scale: Scale, wanted: Wanted, given: Path | None, out: Path) -> tuple[Piece, ...]:
+def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Path | None, out: Path) -> tuple[DatasetPiece, ...]:
     """What a dataset is made of at a scale.
 
     Parameters
@@ -163,11 +163,11 @@ def pieces_of(name: str, data: Data, scale: Scale, wanted: Wanted, given: Path |
     return (_stand_in(name, config, frames, data.seed, out),)
 
 
-def _folder_piece(name: str, folder: Path) -> Piece:
+def _folder_piece(name: str, folder: Path) -> DatasetPiece:
     dataset = open_dataset(folder)
     key = dataset_id(read_manifest(folder))
     people = frozenset(individuals(dataset))
-    return Piece(name, folder.resolve(), key, dataset.sizes["frame"], people, frozenset(_cars(dataset)))
+    return DatasetPiece(name, folder.resolve(), key, dataset.sizes["frame"], people, frozenset(_cars(dataset)))
 
 
 def _of_subject(name: str, data: Data, subject: str) -> SynthConfig:
@@ -186,7 +186,7 @@ def _parsed(name: str, plain: Mapping[str, Any]) -> SynthConfig:
         raise ConfigError(f"data.{name}.synth: {error}", hint=error.hint) from error
 
 
-def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path) -> Piece:
+def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path) -> DatasetPiece:
     text = config.model_dump_json()
     key = digest({"synth": text, "seed": seed, "frames": frames})
     people = config.people
@@ -196,7 +196,7 @@ def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path)
     if isinstance(config.scene, CabinScene):
         cars = {(car if isinstance(car, str) else str(getattr(car, "name", "")), None) for car in config.scene.cars}
         cars |= {(f"C{number:04d}", seed) for number in range(config.scene.random_cars)}
-    return Piece(
+    return DatasetPiece(
         name, out / "data" / key, key, frames, frozenset(named | crowd), frozenset(cars), text, seed
     )  # fmt: skip
 
@@ -207,7 +207,7 @@ def _cars(dataset: xr.Dataset) -> set[Identity]:
     return {(name, int(seed) if _RANDOM_CAR.fullmatch(name) else None) for name, seed in pairs if name}
 
 
-def check_subjects(source: Source, where: str) -> None:
+def check_subjects(source: SelectedFrames, where: str) -> None:
     """Raise ConfigError for subjects or cars that the dataset cannot have, or for more frames than there can be."""
     for kind, wanted, there in (
         ("subject", source.part.subject, {name for p in source.pieces for name, _ in p.people}),
@@ -221,14 +221,14 @@ def check_subjects(source: Source, where: str) -> None:
         raise _too_few(where, source.part, source.most)
 
 
-def _too_few(where: str, part: Part, there: int) -> ConfigError:
+def _too_few(where: str, part: FrameSelection, there: int) -> ConfigError:
     return ConfigError(
         f"{where}: {part.frames} frames of {part.data} are asked for, and the selection has {there}",
         hint=f"ask for at most {there}, select more of it, or make more with data.{part.data}.frames",
     )
 
 
-def draw(source: Source, taken: Sequence[Drawn], where: str, *, whole_sequences: bool = False) -> Drawn:
+def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_sequences: bool = False) -> Drawn:
     """The frames that a part draws: in an order that depends on the selection alone, without those that others have taken.
 
     Parameters
@@ -278,7 +278,7 @@ def draw(source: Source, taken: Sequence[Drawn], where: str, *, whole_sequences:
     return [(source.pieces[n], np.sort(at[chosen[of[chosen] == n]])) for n in np.unique(of[chosen]).tolist()]
 
 
-def _selected(dataset: xr.Dataset, source: Source, where: str) -> NDArray[np.bool_]:
+def _selected(dataset: xr.Dataset, source: SelectedFrames, where: str) -> NDArray[np.bool_]:
     """(frame,) whether a frame of a piece belongs to the selection; values that only other pieces have select nothing here."""
     selection = {}
     for name, wanted in source.part.selection.items():
@@ -295,7 +295,7 @@ def _selected(dataset: xr.Dataset, source: Source, where: str) -> NDArray[np.boo
         raise DatasetError(f"{where}: {error}", hint=error.hint) from error
 
 
-def opened(part: Part, drawn: Drawn) -> dict[str, xr.Dataset]:
+def opened(part: FrameSelection, drawn: Drawn) -> dict[str, xr.Dataset]:
     """The frames that were drawn, by the name of their piece, with depth and places as the part has them."""
     result = {}
     for piece, positions in drawn:

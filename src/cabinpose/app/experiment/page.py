@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from cabinpose.app.experiment.plan import Plan, same_cells
+from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
 from cabinpose.app.experiment.results import Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
 from cabinpose.app.finite import finite
 from cabinpose.app.report.charts import ValueScale, charts, legend, series_chart
@@ -23,7 +23,7 @@ _INTERVALS = (
 _LOSSES = ("training loss", "validation loss")
 
 
-def write_results(folder: Path, plan: Plan, results: Results, asked: dict[str, object]) -> None:
+def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: dict[str, object]) -> None:
     """Write index.html, table.md, table.csv, report.json, pictures, and what was asked for, with which the page is made again."""
     make_folder(folder)
     rows = table_rows(plan, results)
@@ -43,7 +43,7 @@ def write_results(folder: Path, plan: Plan, results: Results, asked: dict[str, o
             write_png(folder / f"curve-{_file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
 
 
-def remarks(plan: Plan) -> list[str]:
+def remarks(plan: ExperimentPlan) -> list[str]:
     """What is to be known before the numbers: stand-ins, what is shared on purpose, rows that are one, states of the code."""
     experiment, told = plan.experiment, []
     for name, pieces in plan.data.items():
@@ -76,7 +76,7 @@ def remarks(plan: Plan) -> list[str]:
     return told
 
 
-def page_html(plan: Plan, results: Results) -> str:
+def page_html(plan: ExperimentPlan, results: Results) -> str:
     """The page."""
     experiment = plan.experiment
     notes = join(el("p", el("b", told)) for told in remarks(plan))
@@ -92,14 +92,14 @@ def page_html(plan: Plan, results: Results) -> str:
     return document(experiment.title, experiment.title, experiment.source, sections)
 
 
-def markdown(plan: Plan, rows: Sequence[Sequence[str]]) -> str:
+def markdown(plan: ExperimentPlan, rows: Sequence[Sequence[str]]) -> str:
     """The table as Markdown, below what is to be known before it."""
     lines = [f"# {plan.experiment.title}", "", *(f"- {told}" for told in remarks(plan)), ""]
     lines += [f"| {' | '.join(rows[0])} |", "|" + "---|" * len(rows[0]), *(f"| {' | '.join(row)} |" for row in rows[1:])]
     return "\n".join(lines) + "\n"
 
 
-def _table(plan: Plan, results: Results) -> Html:
+def _table(plan: ExperimentPlan, results: Results) -> Html:
     experiment = plan.experiment
     head: list[object] = ["", *(column.title for column in experiment.columns)]
     rows = [head]
@@ -131,7 +131,7 @@ def _over_frames(results: Results) -> str:
     return join(drawn)
 
 
-def _losses(plan: Plan) -> str:
+def _losses(plan: ExperimentPlan) -> str:
     drawn = []
     for row, cells in plan.trained.items():
         if rows := losses(cells[0]):
@@ -139,7 +139,7 @@ def _losses(plan: Plan) -> str:
     return legend(_LOSSES) + charts(drawn) if drawn else ""
 
 
-def _frame_rows(plan: Plan) -> list[list[str]]:
+def _frame_rows(plan: ExperimentPlan) -> list[list[str]]:
     names = list(plan.data)
     rows = [["", *(f"learnt: {name}" for name in names), "validated", "epochs", "steps an epoch", "repeats"]]
     for name, cells in plan.trained.items():

@@ -7,9 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cabinpose.app.experiment.cells import Cell, DataCell, TestCell, TrainCell
-from cabinpose.app.experiment.config import Experiment, Part, Scale, Training, merged
-from cabinpose.app.experiment.frames import Piece, Source, check_subjects, contents, digest, pieces_of, wanted_frames
+from cabinpose.app.experiment.cells import DataCell, ExperimentCell, TestCell, TrainCell
+from cabinpose.app.experiment.config import Experiment, FrameSelection, RunScale, Training, merged
+from cabinpose.app.experiment.frames import (
+    DatasetPiece,
+    SelectedFrames,
+    check_subjects,
+    contents,
+    digest,
+    pieces_of,
+    wanted_frames,
+)
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.estimate import METHODS, TrainConfig
 from cabinpose.store import validated
@@ -19,7 +27,7 @@ _NAMES = 5  # of people in a message
 
 
 @dataclass(frozen=True)
-class Plan:
+class ExperimentPlan:
     """The cells of an experiment at a scale.
 
     data: the pieces of each dataset that any cell needs · trained: by training, a cell for each repeat · tested: by training and
@@ -27,28 +35,28 @@ class Plan:
     """
 
     experiment: Experiment
-    scale: Scale
-    data: Mapping[str, tuple[Piece, ...]]
+    scale: RunScale
+    data: Mapping[str, tuple[DatasetPiece, ...]]
     made: tuple[DataCell, ...]
     first: tuple[TrainCell, ...]
     trained: Mapping[str, tuple[TrainCell, ...]]
     tested: Mapping[tuple[str, str], tuple[TestCell, ...]]
 
     @property
-    def cells(self) -> list[Cell]:
+    def cells(self) -> list[ExperimentCell]:
         """All cells, each once, none before those that it needs."""
         rows = [cell for cells in self.trained.values() for cell in cells]
         tests = [cell for cells in self.tested.values() for cell in cells]
         return list({cell.key: cell for cell in reversed([*self.made, *self.first, *rows, *tests])}.values())[::-1]
 
-    def chosen(self, only: Sequence[str]) -> list[Cell]:
+    def chosen(self, only: Sequence[str]) -> list[ExperimentCell]:
         """The cells of some trainings, tests or datasets by name ("R1", its second repeat "R1.2", "real"), with what they need.
 
         Raises ConfigError for a name that none has; no names: all.
         """
         if not only:
             return self.cells
-        named: dict[str, list[Cell]] = {}
+        named: dict[str, list[ExperimentCell]] = {}
         for made in self.made:
             named.setdefault(made.piece.name, []).append(made)
             named.setdefault(made.piece.name.partition("/")[0], []).append(made)
@@ -67,7 +75,7 @@ class Plan:
                 wanted.update(cell.needs)
         return [cell for cell in cells if cell.key in wanted]
 
-    def check_frames(self, cells: Iterable[Cell]) -> None:
+    def check_frames(self, cells: Iterable[ExperimentCell]) -> None:
         """Refuse trainings and tests, among cells whose datasets are there, by their very frames. Raises ConfigError."""
         keys = {cell.key for cell in cells}
         seen: dict[str, Any] = {}
@@ -87,7 +95,7 @@ class Plan:
                         _refuse_shared(kind, there & seen[each.key][kind], f"test {test}", f"training {row}")
 
 
-def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping[str, Path]) -> Plan:
+def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping[str, Path]) -> ExperimentPlan:
     """The plan of an experiment.
 
     Parameters
@@ -122,16 +130,16 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
     needed = {key for cell in every for key in cell.needs}
     used = {name: tuple(piece for piece in pieces if piece.key in needed or not piece.config) for name, pieces in data.items()}
     made = tuple(plan.made(piece) for pieces in used.values() for piece in pieces if piece.config)
-    return Plan(experiment, scale, used, made, first, trained, tested)
+    return ExperimentPlan(experiment, scale, used, made, first, trained, tested)
 
 
 class _Planner:
     """What makes the cells of one experiment."""
 
-    def __init__(self, experiment: Experiment, scale: Scale, data: Mapping[str, tuple[Piece, ...]], out: Path) -> None:
+    def __init__(self, experiment: Experiment, scale: RunScale, data: Mapping[str, tuple[DatasetPiece, ...]], out: Path) -> None:
         self._experiment, self._scale, self._data, self._out = experiment, scale, data, out
 
-    def made(self, piece: Piece) -> DataCell:
+    def made(self, piece: DatasetPiece) -> DataCell:
         """The cell that generates a stand-in; its record lies beside the dataset."""
         folder = self._out / "made" / piece.key
         return DataCell(f"data {piece.name}", piece.key, folder, (), piece.frames * FRAME_S, piece)
@@ -176,7 +184,12 @@ class _Planner:
         )
 
     def _train(
-        self, name: str, config: TrainConfig, train: Sequence[Part], validation: Sequence[Part], begins: TrainCell | None = None
+        self,
+        name: str,
+        config: TrainConfig,
+        train: Sequence[FrameSelection],
+        validation: Sequence[FrameSelection],
+        begins: TrainCell | None = None,
     ) -> TrainCell:
         learnt, judged = (tuple(self._source(part, f"training {name}") for part in side) for side in (train, validation))
         frames, held = (sum(source.frames for source in side) for side in (learnt, judged))
@@ -189,9 +202,9 @@ class _Planner:
         folder = self._out / "trained" / f"{config.method}-{key}"  # by its key: other rows and files may name it otherwise
         return TrainCell(name, key, folder, needs, expected, recipe, learnt, judged, begins)
 
-    def _source(self, part: Part, where: str) -> Source:
+    def _source(self, part: FrameSelection, where: str) -> SelectedFrames:
         count = None if part.frames is None else self._scale.count(part.frames, part.scaled)
-        source = Source(part.model_copy(update={"frames": count}), self._data[part.data])
+        source = SelectedFrames(part.model_copy(update={"frames": count}), self._data[part.data])
         check_subjects(source, where)
         return source
 
@@ -209,14 +222,16 @@ class _Planner:
         except ConfigError as error:
             raise ConfigError(f"recipe of {name}: {error}", hint=error.hint) from error
 
-    def _check_sides(self, name: str, train: Sequence[Part], validation: Sequence[Part], may_share: Sequence[str]) -> None:
+    def _check_sides(
+        self, name: str, train: Sequence[FrameSelection], validation: Sequence[FrameSelection], may_share: Sequence[str]
+    ) -> None:
         where = f"training {name}"
         learnt, judged = (set().union(*(self._source(part, where).people for part in side)) for side in (train, validation))
         if "subject" not in may_share:
             _refuse_shared("subject", learnt & judged, where, "its validation", "may_share: [subject] in the training")
 
 
-def _made(sources: Iterable[Source]) -> list[str]:
+def _made(sources: Iterable[SelectedFrames]) -> list[str]:
     """The keys of the cells that make the datasets of some parts."""
     return list(dict.fromkeys(piece.key for source in sources for piece in source.pieces if piece.config))
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from cabinpose.app.experiment.cells import TestCell, TrainCell
-from cabinpose.app.experiment.config import Column
-from cabinpose.app.experiment.plan import Plan
+from cabinpose.app.experiment.config import TableColumn
+from cabinpose.app.experiment.plan import ExperimentPlan
 from cabinpose.core import CABINPOSE, unknown_name
-from cabinpose.evaluate import ALL, Errors, OverRepeats, accuracy_curve, over_repeats
+from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, accuracy_curve, over_repeats
 
 _GRID = np.linspace(0.0, 1.0, 51)  # head sizes
 Lines = dict[str, tuple[list[float], list[float]]]
@@ -35,9 +35,9 @@ class Results:
     curves: Mapping[str, Lines]
 
 
-def results_of(plan: Plan, resamples: int) -> Results:
+def results_of(plan: ExperimentPlan, resamples: int) -> Results:
     """The numbers of all cells that are there; resamples: of the bootstrap for the intervals."""
-    experiment, known = plan.experiment, _Known()
+    experiment, known = plan.experiment, _ErrorsRead()
     numbers = {
         (row, column.title): _number(known.runs(plan.tested[row, column.test]), column, resamples)
         for row in experiment.trainings
@@ -64,13 +64,13 @@ def results_of(plan: Plan, resamples: int) -> Results:
     return Results(numbers, accuracy, curves)
 
 
-class _Known:
+class _ErrorsRead:
     """The errors of tests that are there, each read once."""
 
     def __init__(self) -> None:
-        self._read: dict[str, tuple[Errors, tuple[str, ...]]] = {}
+        self._read: dict[str, tuple[ModelErrors, tuple[str, ...]]] = {}
 
-    def runs(self, cells: Sequence[TestCell]) -> list[tuple[Errors, tuple[str, ...]]]:
+    def runs(self, cells: Sequence[TestCell]) -> list[tuple[ModelErrors, tuple[str, ...]]]:
         """Those of the repeats of a training; none where one of them is not there."""
         if not all(cell.done for cell in cells):
             return []
@@ -80,7 +80,7 @@ class _Known:
         return [self._read[cell.key] for cell in cells]
 
 
-def _number(runs: Sequence[tuple[Errors, tuple[str, ...]]], column: Column, resamples: int) -> OverRepeats | None:
+def _number(runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], column: TableColumn, resamples: int) -> OverRepeats | None:
     if not runs:
         return None
     names = runs[0][1]
@@ -114,7 +114,7 @@ def cell_text(number: OverRepeats | None, digits: int = 1) -> tuple[str, str]:
     return f"{number.value:.{digits}f}", span
 
 
-def table_rows(plan: Plan, results: Results) -> list[list[str]]:
+def table_rows(plan: ExperimentPlan, results: Results) -> list[list[str]]:
     """The table as text: a row a training, its frames, each column's number with its interval, and the source's figure."""
     experiment = plan.experiment
     titles = [column.title for column in experiment.columns]
@@ -138,7 +138,7 @@ def table_rows(plan: Plan, results: Results) -> list[list[str]]:
     return rows
 
 
-def csv_text(plan: Plan, results: Results) -> str:
+def csv_text(plan: ExperimentPlan, results: Results) -> str:
     """Every number on a line of its own, as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -168,7 +168,7 @@ def losses(cell: TrainCell) -> list[dict[str, float]]:
         return [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
 
 
-def cost_rows(plan: Plan) -> list[list[str]]:
+def cost_rows(plan: ExperimentPlan) -> list[list[str]]:
     """What each cell took: wall seconds, CPU seconds and hours; and in all."""
     rows, total = [["", "wall s", "CPU s", "CPU h", ""]], 0.0
     for cell in plan.cells:

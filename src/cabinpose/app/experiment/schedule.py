@@ -11,13 +11,13 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from typing import Any
 
-from cabinpose.app.experiment.cells import Cell
+from cabinpose.app.experiment.cells import ExperimentCell
 from cabinpose.core import ConfigError, SceneError, optional_module
 
-Told = Callable[[Cell, dict[str, Any]], None]
+Told = Callable[[ExperimentCell, dict[str, Any]], None]
 
 
-def make_cells(cells: Sequence[Cell], workers: int | str, told: Told) -> None:
+def make_cells(cells: Sequence[ExperimentCell], workers: int | str, told: Told) -> None:
     """Make the cells that are not there.
 
     Parameters
@@ -46,10 +46,10 @@ def make_cells(cells: Sequence[Cell], workers: int | str, told: Told) -> None:
         _spread(missing, executor, told)
 
 
-def _spread(missing: Sequence[Cell], executor: Executor, told: Told) -> None:
+def _spread(missing: Sequence[ExperimentCell], executor: Executor, told: Told) -> None:
     """Hand each cell to the executor as soon as all that it needs is there."""
     waiting, absent = list(missing), {cell.key for cell in missing}
-    running: dict[Future[dict[str, Any]], Cell] = {}
+    running: dict[Future[dict[str, Any]], ExperimentCell] = {}
     try:
         while waiting or running:
             ready = [cell for cell in waiting if not absent.intersection(cell.needs)]
@@ -70,7 +70,7 @@ def _spread(missing: Sequence[Cell], executor: Executor, told: Told) -> None:
             future.cancel()
 
 
-def _make(cell: Cell) -> dict[str, Any]:
+def _make(cell: ExperimentCell) -> dict[str, Any]:
     """What a worker does."""
     return cell.make()
 
