@@ -294,6 +294,20 @@ def test_a_short_run_is_not_judged_by_the_weights_it_began_with(checkpoints: dic
     assert 0.5 < moved[1] / moved[0] < 1.0
 
 
+@pytest.mark.parametrize(("method", "slots"), [("compact", small.PERSONS[::-1]), ("paf", ("driver",))])
+def test_a_run_begins_with_a_network_of_other_places(
+    method: str, slots: tuple[str, ...], checkpoints: dict[str, Path], tmp_path: Path
+) -> None:
+    """As many of them, or of a network to which they are nothing; its weights are those of the other one, and that is told."""
+    c = config(method, settings=small.TINY[method] | {"slots": slots}, learning_rate=1e-12, weight_decay=0.0, average=0.0)
+    with pytest.warns(UserWarning, match="has learnt other places: driver, front_passenger, rear_left"):
+        run = fit(c, frames(c), frames(c), tmp_path, start=Start(init=checkpoints[method]), machines=ONE)
+    mine, theirs = (dict(load_detector(path).network.named_parameters()) for path in (run, checkpoints[method]))
+    assert mine.keys() == theirs.keys()
+    for name, value in mine.items():
+        torch.testing.assert_close(value, theirs[name], atol=1e-6, rtol=0)
+
+
 @pytest.mark.parametrize("change", [{"channels": (8, 16, 24, 32)}, {"slots": ("front_passenger", "driver")}])
 def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], checkpoints: dict[str, Path], tmp_path: Path) -> None:
     c = config("compact", settings=small.TINY["compact"] | change)

@@ -8,14 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from distributed import LocalCluster
 
-from cabinpose.app.experiment.cells import ExperimentCell
+from cabinpose.app.experiment.cells import ExperimentCell, _sides
 from cabinpose.app.experiment.config import load
 from cabinpose.app.experiment.plan import make_plan
 from cabinpose.app.experiment.schedule import make_cells
+from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError
+from cabinpose.estimate import TrainConfig, frame_spec
 from cabinpose.store import open_dataset
 
 Write = Callable[..., Path]
@@ -77,6 +80,36 @@ def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_pat
     done = run("experiment", "run", write({"trainings": everybody, "tests": tests}), *words)
     assert (done.code, "share the frame" in done.err) == (2, True), done.err
     assert not list((tmp_path / "more").rglob("last.ckpt"))
+
+
+def test_rooms_and_cars_are_mixed_and_so_are_kinds_of_depth(write: Write, tmp_path: Path) -> None:
+    """A person who stands is taken for the driver, and the depth of a part may be another image than that of the others."""
+    room = {"scene": {"kind": "room", "rooms": 1}, "people": {"subjects": [], "random": {"count": 2}},
+            "camera": {"sensor": "kinect_v1", "views": {"room": 1.0}}, "noise": {"kind": "structured_light"}}  # fmt: skip
+    parts = [
+        {"data": "real", "subject": ["P1"], "frames": 2, "depth": "depth_clean"},
+        {"data": "rooms", "frames": 3, "places": {"standing": "driver"}},
+    ]
+    file = write({
+        "recipe": {"settings": {"max_depth_m": 5.0}}, "data": {"rooms": {"synth": room, "frames": 3}},
+        "trainings": {"R1": {"train": parts}},
+    })  # fmt: skip
+    plan = make_plan(load(file), "paper", tmp_path / "out", {})
+    make_cells(plan.made, 1, lambda *_: None)
+    cell = plan.trained["R1"][0]
+    learnt, judged = cell.drawn()
+    sides = (_sides(cell.train, learnt), _sides(cell.validation, judged))
+    assert {name: part.sizes["frame"] for name, part in sides[0].items()} == {"real/P1": 2, "rooms": 3}
+    car, rooms = sides[0].values()
+    source = open_dataset(cell.train[0].pieces[0].folder).isel(frame=learnt[0][0][1])
+    np.testing.assert_array_equal(car["depth"].values, source["depth_clean"].values)
+    assert not np.array_equal(source["depth"].values, source["depth_clean"].values)
+    assert rooms["person"].values.tolist() == ["driver"]
+    training, _ = stored_frames(sides, frame_spec(TrainConfig.model_validate(cell.recipe)))
+    frames = [training[i] for i in range(5)]
+    assert all(frame.present.tolist() == [True] for frame in frames)
+    far = [float(frame.joints[0, :, 2].mean()) for frame in frames]
+    assert max(far[:2]) < 1.5 < min(far[2:])  # m: a car's driver, somebody across a room
 
 
 def test_draws_are_the_same_nested_and_apart(write: Write, tmp_path: Path) -> None:

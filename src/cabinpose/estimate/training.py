@@ -6,6 +6,7 @@ A run that was killed goes on from its last whole epoch with the numbers that it
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence, Sized
 from io import BytesIO
 from itertools import islice
@@ -387,8 +388,9 @@ def load_detector(path: Path) -> Detector:
 def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kept]) -> None:
     """Give a detector the weights of a checkpoint or of a compact model in an ONNX file.
 
-    Parts that the other one does not have keep their own. Norms that were folded on export are measured on `training`.
-    Raises ModelError where that one is of another network.
+    Parts that the other one does not have keep their own. Where the places are others, and the network is of the same size
+    nevertheless, the first of these stands for the first of those, and so on, with a warning. Norms that were folded on export
+    are measured on `training`. Raises ModelError where that one is of another network.
     """
     source = packaged_models().get(str(source), source)
     folded: tuple[str, ...] = ()
@@ -398,7 +400,7 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
         other = load_detector(source)
         theirs, state, learnt = other.method_config, other.network.state_dict(), other.trained_on
     mine = detector.method_config
-    fits = type(mine) is type(theirs) and (mine.joints, mine.slots) == (theirs.joints, theirs.slots)
+    fits = type(mine) is type(theirs) and mine.joints == theirs.joints
     try:
         if fits:
             fits = not detector.network.load_state_dict(state, strict=False).unexpected_keys
@@ -409,6 +411,8 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
         raise ModelError(
             f"{source} is of another network: {', '.join(other_names)}", hint="begin with a run of the same method and settings"
         )
+    if mine.slots != theirs.slots:
+        warnings.warn(f"{source} has learnt other places: {', '.join(theirs.slots)}", stacklevel=3)
     detector.trained_on = learnt
     if folded:
         frames = _some(training)

@@ -49,9 +49,8 @@ def remarks(plan: ExperimentPlan) -> list[str]:
     for name, pieces in plan.data.items():
         if any(piece.config for piece in pieces):
             what = experiment.data[name].stands_for
-            told.append(
-                f"{name} is a stand-in, generated{f', for {what}' if what else ''}: its figures say nothing of real frames"
-            )
+            meant = f"a stand-in, generated, for {what}: figures on it say nothing of those frames" if what else "generated"
+            told.append(f"{name} is {meant}")
     for name, row in experiment.trainings.items():
         if row.may_share:
             told.append(f"{name}: validated on other frames of people who are learnt from")
