@@ -228,7 +228,8 @@ def _show(command: Show) -> None:
     print(plan.experiment.title)
     rows = [["cell", "kind", "frames", "CPU s expected", ""]]
     for cell, kind in zip(cells, kinds, strict=True):
-        rows.append([cell.name, kind, str(cell.frame_count), f"{cell.expected_s:.0f}", "there" if cell.done else ""])
+        took = f"there, took {cell.record['cpu_s']:.0f}" if cell.done else ""
+        rows.append([cell.name, kind, str(cell.frame_count), f"{cell.expected_s:.0f}", took])
     print_table(rows, words=(0, 1, 4))
     for name, other in same_cells([cell for each in plan.trained.values() for cell in each]).items():
         print(f"{name} is {other} at this scale")
