@@ -36,6 +36,7 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     text = page.read_text()
     assert "real is a stand-in, generated, for recordings of three people" in text
     assert "published 13.47" in text
+    assert all(f"<title>{name}</title>" in text for name in ("R1", "Head", "Wrist"))  # lines of the charts
     assert {p.name for p in page.parent.iterdir()} == {
         "index.html", "table.md", "table.csv", "report.json", "experiment.json", "accuracy-T.png",
     }  # fmt: skip

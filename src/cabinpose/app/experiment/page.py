@@ -119,7 +119,14 @@ def _accuracy(test: str, lines: dict[str, tuple[list[float], list[float]]]) -> H
 def _accuracies(results: Results) -> str:
     names: Iterable[str] = dict.fromkeys(name for lines in results.accuracy.values() for name in lines)
     drawn = [_accuracy(test, lines) for test, lines in results.accuracy.items()]
-    return legend(names) + charts(drawn, "two") if drawn else ""
+    if not drawn:
+        return ""
+    groups: Iterable[str] = dict.fromkeys(name for lines in results.by_joint.values() for name in lines)
+    each = [
+        series_chart(f"{row} on {test}", "head sizes", lines, scale=ValueScale(top=100.0))
+        for (test, row), lines in results.by_joint.items()
+    ]
+    return legend(names) + charts(drawn, "two") + el("h3", "By joint") + legend(groups) + charts(each)
 
 
 def _over_frames(results: Results) -> str:

@@ -27,11 +27,13 @@ class Results:
     """What is known of an experiment.
 
     numbers: by training and title of the column, None where a cell is not there · accuracy: by test, per cent of all joints
-    within each part of the head size, by training · curves: by title, over numbers of frames.
+    within each part of the head size, by training · by_joint: the same by test and training, by group of joints · curves: by
+    title, over numbers of frames.
     """
 
     numbers: Mapping[tuple[str, str], OverRepeats | None]
     accuracy: Mapping[str, Lines]
+    by_joint: Mapping[tuple[str, str], Lines]
     curves: Mapping[str, Lines]
 
 
@@ -43,25 +45,36 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
         for row in experiment.trainings
         for column in experiment.columns
     }
-    accuracy = {}
+    accuracy, by_joint = {}, {}
     for test in experiment.tests:
         space = next((column.space for column in experiment.columns if column.test == test), "2d")
         lines: Lines = {}
         for row in experiment.trainings:
-            runs = [errors for errors, _ in known.runs(plan.tested[row, test]) if errors.error_px.size]
-            if runs:
-                mean = np.mean([accuracy_curve(run, _GRID, space) for run in runs], axis=0)
-                lines[row] = (_GRID.tolist(), mean.tolist())
+            runs = [(errors, names) for errors, names in known.runs(plan.tested[row, test]) if errors.error_px.size]
+            if not runs:
+                continue
+            lines[row] = _mean_accuracy(runs, space, None)
+            groups = [name for name, members in CABINPOSE.groups.items() if set(members) & set(runs[0][1])]
+            by_joint[test, row] = {name: _mean_accuracy(runs, space, joints_of(name, runs[0][1])) for name in groups}
         if lines:
             accuracy[test] = lines
     curves: dict[str, Lines] = {}
     for curve in experiment.curves:
         curves[curve.title] = {}
         for name, rows in curve.lines.items():
-            points = sorted((frames_of(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows)
-            there = [(float(x), number.value) for x, number in points if number is not None]
+            points = [(frames_of(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows]
+            there = sorted((float(x), number.value) for x, number in points if number is not None)
             curves[curve.title][name] = ([x for x, _ in there], [y for _, y in there])
-    return Results(numbers, accuracy, curves)
+    return Results(numbers, accuracy, by_joint, curves)
+
+
+def _mean_accuracy(
+    runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], space: str, joints: Sequence[str] | None
+) -> tuple[list[float], list[float]]:
+    """The line of some joints, None = all: the mean over the repeats."""
+    columns = None if joints is None else [runs[0][1].index(joint) for joint in joints]
+    mean = np.mean([accuracy_curve(errors, _GRID, space, columns) for errors, _ in runs], axis=0)
+    return _GRID.tolist(), mean.tolist()
 
 
 class _ErrorsRead:
