@@ -7,12 +7,26 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
-from cabinpose.app.experiment.config import RunScale, load, merged, packaged
+from cabinpose.app.experiment.config import (
+    Curve,
+    Data,
+    Experiment,
+    FrameSelection,
+    JudgedFrames,
+    RunScale,
+    TableColumn,
+    Training,
+    load,
+    merged,
+    packaged,
+)
 from cabinpose.app.experiment.frames import wanted_frames
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
 from cabinpose.app.experiment.results import frames_of
 from cabinpose.core.errors import ConfigError
+from cabinpose.store import validated
 
 Write = Callable[..., Path]
 Run = Callable[..., Any]
@@ -187,6 +201,16 @@ def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path)
     assert {cell.name for cell in after.cells if cell.key not in {c.key for c in before.cells}} == {"R2", "R2 on T"}
     third = make_plan(load(write({"recipe": {"learning_rate": 0.01}})), "paper", tmp_path, {})
     assert {cell.name for cell in third.cells if cell.key not in {c.key for c in before.cells}} == {"R1", "R1 on T"}
+
+
+def test_the_page_has_a_file_of_ones_own_and_every_key() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "experiments.md").read_text()
+    block = page.partition("```yaml\n")[2].partition("```")[0]
+    experiment = validated(Experiment, yaml.safe_load(block), None, hint="")
+    assert experiment.trainings["tuned"].fine_tune is not None
+    for keys in (Experiment, RunScale, Data, Training, JudgedFrames, TableColumn, Curve, FrameSelection):
+        for name in keys.model_fields:
+            assert f"`{name}`" in page or f"`{name}:" in page or f", `{name}" in page, f"{keys.__name__}.{name}"
 
 
 def test_only_what_is_named_and_what_it_needs(tmp_path: Path) -> None:

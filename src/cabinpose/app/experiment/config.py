@@ -88,7 +88,7 @@ class Training(Keys):
     )
 
 
-class TestEntry(Keys):
+class JudgedFrames(Keys):
     """Frames that models are judged on."""
 
     frames: tuple[FrameSelection, ...] = Field(min_length=1, description="The frames; several parts follow each other.")
@@ -141,7 +141,7 @@ class Experiment(Keys):
     scales: Mapping[str, RunScale] = Field({"paper": RunScale()}, description="By name; `paper` has the file's own numbers.")
     data: Mapping[str, Data] = Field(min_length=1, description="The datasets by name.")
     trainings: Mapping[str, Training] = Field(min_length=1, description="The rows by name.")
-    tests: Mapping[str, TestEntry] = Field(min_length=1, description="The tests by name.")
+    tests: Mapping[str, JudgedFrames] = Field(min_length=1, description="The tests by name.")
     columns: tuple[TableColumn, ...] = Field(min_length=1, description="The columns of the table.")
     curves: tuple[Curve, ...] = Field((), description="Columns drawn over numbers of frames.")
     published: Mapping[str, Mapping[str, float]] = Field({}, description="Figures of the source, by training and column.")
