@@ -148,6 +148,15 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "scenes that cannot be": (
         {"data": {"real": {"synth": {"scene": {"car": ["sedan"]}}}}}, "data.real/P1.synth: scene", "cars",
     ),
+    "a column of no joint": (
+        {"columns": [{"title": "A", "test": "T", "joints": "Writs"}], "published": None},
+        "unknown set of joints 'Writs'", "Wrist",
+    ),
+    "a column of parts where joints are found": (
+        {"columns": [{"title": "A", "test": "T", "measure": "iou"}], "published": None},
+        "column A: iou is not measured of joints",
+        "iou or person_iou of parts",
+    ),
     "two sources of a dataset": ({"data": {"real": {"folder": "x"}}}, "a folder or a stand-in", "one of folder and synth"),
 }  # fmt: skip
 

@@ -46,8 +46,10 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     records = {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")}
     assert len(records) == 5
 
+    stamp = page.stat().st_mtime_ns
     again = run("experiment", "run", write(), *words)
     assert json.loads(again.out)["made"] == 0
+    assert page.stat().st_mtime_ns == stamp
     assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")} == records
 
     last = next((tmp_path / "out" / "trained").glob("*/last.ckpt"))

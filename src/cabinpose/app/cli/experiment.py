@@ -126,7 +126,7 @@ def _run(command: RunExperiment) -> None:
     import os
 
     from cabinpose.app.experiment.cells import DataCell
-    from cabinpose.app.experiment.page import write_results
+    from cabinpose.app.experiment.page import is_written, write_results
     from cabinpose.app.experiment.results import results_of
     from cabinpose.app.experiment.schedule import make_cells
 
@@ -155,12 +155,13 @@ def _run(command: RunExperiment) -> None:
             plan.check_frames(cells)
         make_cells([cell for cell in missing if not isinstance(cell, DataCell)], workers, told)
     folder = command.out / Path(command.name).stem.lower() / command.scale
-    results = results_of(plan, command.resamples)
-    write_results(folder, plan, results, asked)
+    asked |= {"resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
+    if missing or not is_written(folder, asked):
+        write_results(folder, plan, results_of(plan, command.resamples), asked)
     if command.as_json:
         print_json({"page": str(folder / "index.html"), "cells": len(cells), "made": len(missing)})
         return
-    _tell(plan, results)
+    _tell(folder)
     print(f"{len(missing)} of {len(cells)} cells made now; open {folder / 'index.html'}", file=sys.stderr)
 
 
@@ -183,13 +184,9 @@ def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[E
     return make_plan(experiment, scale, out.resolve(), given), asked
 
 
-def _tell(plan: ExperimentPlan, results: Any) -> None:
-    from cabinpose.app.experiment.page import remarks
-    from cabinpose.app.experiment.results import table_rows
-
-    for told in remarks(plan):
-        print(printable(told))
-    print_table(table_rows(plan, results))
+def _tell(folder: Path) -> None:
+    """Print the table of a page, and what is to be known before it."""
+    print(printable((folder / "table.md").read_text("utf-8")), end="")
 
 
 def _list(command: List) -> None:
@@ -252,12 +249,12 @@ def _report(command: Remake) -> None:
     experiment = validated(Experiment, asked["experiment"], file, hint="run the experiment again")
     given = {name: Path(folder) for name, folder in asked["data"].items()}
     plan = make_plan(experiment, asked["scale"], Path(asked["out"]), given)
-    results = results_of(plan, command.resamples)
-    write_results(command.folder, plan, results, asked)
+    asked |= {"resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
+    write_results(command.folder, plan, results_of(plan, command.resamples), asked)
     if command.as_json:
         print_json({"page": str(command.folder / "index.html")})
         return
-    _tell(plan, results)
+    _tell(command.folder)
     print(f"open {command.folder / 'index.html'}", file=sys.stderr)
 
 

@@ -43,6 +43,12 @@ def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: d
             write_png(folder / f"curve-{_file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
 
 
+def is_written(folder: Path, asked: dict[str, object]) -> bool:
+    """Whether the page is there, made of the same file and cells."""
+    there = all((folder / name).exists() for name in ("index.html", "table.md", PLAN))
+    return there and (folder / PLAN).read_text("utf-8") == json.dumps(asked, indent=1) + "\n"
+
+
 def remarks(plan: ExperimentPlan) -> list[str]:
     """What is to be known before the numbers: stand-ins, what is shared on purpose, rows that are one, states of the code."""
     experiment, told = plan.experiment, []

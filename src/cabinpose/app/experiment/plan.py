@@ -18,8 +18,9 @@ from cabinpose.app.experiment.frames import (
     pieces_of,
     wanted_frames,
 )
-from cabinpose.core import ConfigError, unknown_name
+from cabinpose.core import CABINPOSE, ConfigError, unknown_name
 from cabinpose.estimate import METHODS, TrainConfig
+from cabinpose.evaluate import ALL
 from cabinpose.store import validated
 
 FRAME_S = 0.1  # CPU seconds that a generated frame is expected to take, and one that a model answers for
@@ -123,6 +124,7 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
     plan = _Planner(experiment, scale, data, out)
     rows = {name: plan.training(name, row) for name, row in experiment.trainings.items()}
     trained = {name: tuple(cells) for name, (_, cells) in rows.items()}
+    _check_columns(experiment, [cells[0] for cells in trained.values()])
     first = tuple(cell for before, _ in rows.values() for cell in before)
     tests = experiment.tests
     tested = {(row, test): tuple(plan.test(test, cell) for cell in cells) for row, cells in trained.items() for test in tests}
@@ -246,6 +248,30 @@ def _refuse_shared(kind: str, shared: set[Any], one: str, other: str, meant: str
     if kind != "frame":
         hint += f"; if it is meant, write {meant or f'may_share: [{kind}] in the test'}"
     raise ConfigError(f"{one} and {other} share the {kind} {', '.join(names[:_NAMES])}{more}", hint=hint)
+
+
+def _check_columns(experiment: Experiment, cells: Iterable[TrainCell]) -> None:
+    """Raise ConfigError for a column that a model's answers say nothing of, which would be found when all is trained."""
+    for cell in cells:
+        method = METHODS[cell.recipe["method"]]
+        parts = method.task == "parts"
+        for column in experiment.columns:
+            if (column.measure in ("iou", "person_iou")) != parts:
+                what = "parts of bodies" if parts else "joints"
+                raise ConfigError(
+                    f"column {column.title}: {column.measure} is not measured of {what}, which {cell.name} finds",
+                    hint="measure iou or person_iou of parts, and anything else of joints",
+                )
+            if not parts:
+                joints_of(column.joints, method.settings(cell.recipe["settings"]).joints)
+
+
+def joints_of(name: str, there: Sequence[str]) -> list[str]:
+    """The joints of a set by its name, those of them that are there. Raises ConfigError for an unknown one."""
+    members = there if name == ALL else CABINPOSE.groups.get(name, (name,))
+    if not (found := [joint for joint in members if joint in there]):
+        raise unknown_name("set of joints", name, [ALL, *CABINPOSE.groups, *there])
+    return found
 
 
 def same_cells(cells: Sequence[TrainCell]) -> dict[str, str]:

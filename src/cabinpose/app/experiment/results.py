@@ -13,8 +13,8 @@ import numpy as np
 
 from cabinpose.app.experiment.cells import TestCell, TrainCell
 from cabinpose.app.experiment.config import TableColumn
-from cabinpose.app.experiment.plan import ExperimentPlan
-from cabinpose.core import CABINPOSE, unknown_name
+from cabinpose.app.experiment.plan import ExperimentPlan, joints_of
+from cabinpose.core import CABINPOSE
 from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, accuracy_curve, over_repeats
 
 _GRID = np.linspace(0.0, 1.0, 51)  # head sizes
@@ -102,14 +102,6 @@ def _number(runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], column: TableCo
         [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold, joints=chosen,
         resamples=resamples,
     )  # fmt: skip
-
-
-def joints_of(name: str, there: Sequence[str]) -> list[str]:
-    """The joints of a set by its name, those of them that are there. Raises ConfigError for an unknown one."""
-    members = CABINPOSE.groups.get(name, (name,))
-    if not (found := [joint for joint in members if joint in there]):
-        raise unknown_name("set of joints", name, [ALL, *CABINPOSE.groups, *there])
-    return found
 
 
 def frames_of(cell: TrainCell, data: str) -> int:
