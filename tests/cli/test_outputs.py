@@ -34,6 +34,7 @@ WRITES = {
     "predict": "predict no --model no.onnx --out {out}",
     "evaluate": "evaluate no --model no.onnx --out {out}",
     "experiment": "experiment compare --test no --out {out}",
+    "experiment, a file": "experiment run no.yaml --out {out}",
     "live": "live --source no --model in_car --predictions {out}",
     "record": "record --config no.yaml --out {out}",
     "recover": "recover no.mcap --out {out}",

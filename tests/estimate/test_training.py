@@ -20,7 +20,7 @@ from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.segmentation import class_table
 from cabinpose.estimate import train_config
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate
+from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate, epoch_order
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
@@ -294,6 +294,20 @@ def test_a_short_run_is_not_judged_by_the_weights_it_began_with(checkpoints: dic
     assert 0.5 < moved[1] / moved[0] < 1.0
 
 
+@pytest.mark.parametrize(("method", "slots"), [("compact", small.PERSONS[::-1]), ("paf", ("driver",))])
+def test_a_run_begins_with_a_network_of_other_places(
+    method: str, slots: tuple[str, ...], checkpoints: dict[str, Path], tmp_path: Path
+) -> None:
+    """As many of them, or of a network to which they are nothing; its weights are those of the other one, and that is told."""
+    c = config(method, settings=small.TINY[method] | {"slots": slots}, learning_rate=1e-12, weight_decay=0.0, average=0.0)
+    with pytest.warns(UserWarning, match="has learnt other places: driver, front_passenger, rear_left"):
+        run = fit(c, frames(c), frames(c), tmp_path, start=Start(init=checkpoints[method]), machines=ONE)
+    mine, theirs = (dict(load_detector(path).network.named_parameters()) for path in (run, checkpoints[method]))
+    assert mine.keys() == theirs.keys()
+    for name, value in mine.items():
+        torch.testing.assert_close(value, theirs[name], atol=1e-6, rtol=0)
+
+
 @pytest.mark.parametrize("change", [{"channels": (8, 16, 24, 32)}, {"slots": ("front_passenger", "driver")}])
 def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], checkpoints: dict[str, Path], tmp_path: Path) -> None:
     c = config("compact", settings=small.TINY["compact"] | change)
@@ -431,3 +445,20 @@ def test_a_run_in_bfloat16_is_the_one_in_float32_where_the_cpu_has_none(tmp_path
         told[precision] = [str(each.message) for each in caught if "in place of" in str(each.message)]
     assert [len(lines) for lines in told.values()] == [0, 1]
     assert curve(tmp_path / "bf16-mixed") == curve(tmp_path / "32-true")
+
+
+def test_an_epoch_of_steps_goes_on_where_the_last_one_ended() -> None:
+    """Epochs of 12 of 10 frames: all frames are seen before any is seen again, in the order of whole passes."""
+    seen = [frame for epoch in range(5) for frame in epoch_order(10, 12, epoch, 5)]
+    passes = [frame for number in range(6) for frame in epoch_order(10, 10, number, 5)]
+    assert seen == passes
+    assert all(sorted(seen[i : i + 10]) == list(range(10)) for i in range(0, 60, 10))
+    assert epoch_order(10, 10, 3, 5) == np.random.Generator(np.random.Philox(key=(5, 3))).permutation(10).tolist()
+    assert [len(epoch_order(frames, 12, 7, 5)) for frames in (1, 5, 1000)] == [12, 12, 12]
+
+
+def test_generated_frames_have_no_steps(tmp_path: Path) -> None:
+    config = TrainConfig(method="compact", settings=small.TINY["compact"], epoch_steps=3)
+    made = GeneratedFrames(small.frame, 4, frame_spec(config), small.PERSONS)
+    with pytest.raises(ConfigError, match="epoch_steps counts batches of stored frames"):
+        fit(config, made, made, tmp_path / "run")

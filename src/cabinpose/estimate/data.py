@@ -99,6 +99,18 @@ def joined(frames: Sequence[Frames]) -> Frames:
     return ConcatDataset(frames)
 
 
+def epoch_order(frames: int, count: int, epoch: int, seed: int) -> list[int]:
+    """The `count` frames of an epoch in their order: passes in a row, of which each epoch takes the next stretch."""
+    first, last = epoch * count, (epoch + 1) * count
+    start = first // frames
+    passes = [
+        np.random.Generator(np.random.Philox(key=(seed, number))).permutation(frames)
+        for number in range(start, -(-last // frames))
+    ]
+    order: list[int] = np.concatenate(passes)[first - start * frames :][:count].tolist()
+    return order
+
+
 def trained_on(frames: Frames | Sequence[Kept], epochs: int) -> dict[str, str]:
     """Ranges of the frames that so many epochs learn from, by the `frames_id` of their datasets, as far as it is known."""
     if isinstance(frames, ConcatDataset):

@@ -44,6 +44,9 @@ class TrainConfig(BaseModel):
     ] = "depth"
     epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
     batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
+    epoch_steps: Annotated[
+        Positive | None, Field(description="Batches in an epoch, taken from one pass after another; default: those of one pass.")
+    ] = None
     patience: Annotated[int, Field(ge=0, description="Stop after so many epochs without a better one; 0 = never.")] = 0
     best_by: Annotated[
         Literal["figure", "loss"], Field(description="The best epoch has the greatest figure, or the least validation loss.")
@@ -99,10 +102,14 @@ class Start:
 
 @dataclass(frozen=True)
 class Machines:
-    """Where a run computes, as Lightning understands it: devices of a machine, and machines."""
+    """Where a run computes, as Lightning understands it: devices of a machine, and machines; and on how many threads of a CPU.
+
+    threads: default: those that torch takes. The last bits of sums depend on them.
+    """
 
     devices: int | str = "auto"
     nodes: int = 1
+    threads: int | None = None
 
 
 @dataclass(frozen=True)

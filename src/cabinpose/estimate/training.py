@@ -6,12 +6,8 @@ A run that was killed goes on from its last whole epoch with the numbers that it
 
 from __future__ import annotations
 
-import logging
-import os
-import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence, Sized
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -27,13 +23,14 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, lock, make_folder, output_errors, write_whole
+from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, make_folder, output_errors, write_whole
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
 from cabinpose.estimate.augment import Mirror, mirrored_labels
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.curves import Curves
-from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, trained_on
+from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, epoch_order, trained_on
 from cabinpose.estimate.found import mirrored_slots
+from cabinpose.estimate.guards import alone, interruptible, quiet, too_little_memory
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.loggers import check_loggers, open_loggers
 from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
@@ -46,15 +43,6 @@ from cabinpose.store import merged_ranges
 
 _MEASURED = 500  # training frames that open settings are measured on
 _SEEDS = 0x7FFFFFFFFFFFFFFF
-_NOISE = (
-    ".*`IterableDataset` has `__len__` defined.*",
-    ".*does not have many workers.*",
-    ".*exists and is not empty.*",
-    ".*The number of training batches .* is smaller than the logging interval.*",
-    ".*isinstance\\(treespec, LeafSpec\\).*",
-    "(?s).*Grad strides do not match bucket view strides.*",
-)
-_NO_MEMORY = re.compile("can't allocate memory|out of memory|bad_alloc|ALLOC_FAILED")
 
 
 def _network_method(name: str) -> NetworkMethod[Any]:
@@ -164,9 +152,10 @@ class _Frames(lightning.LightningDataModule):
             self._training.epoch = trainer.current_epoch
             self._training.rank, self._training.ranks = trainer.global_rank, trainer.world_size
             return self._loader(self._training)
-        rng = np.random.Generator(np.random.Philox(key=(self._config.seed, trainer.current_epoch)))
-        order = rng.permutation(len(cast(Sized, self._training))).tolist()
-        return self._loader(self._training, sampler=order, drop_last=len(order) >= self._config.batch)
+        config, frames = self._config, len(cast(Sized, self._training))
+        count = frames if config.epoch_steps is None else config.epoch_steps * config.batch
+        order = epoch_order(frames, count, trainer.current_epoch, config.seed)
+        return self._loader(self._training, sampler=order, drop_last=count >= config.batch)
 
     def val_dataloader(self) -> DataLoader[Kept]:
         """The validation frames in their order."""
@@ -238,6 +227,8 @@ def fit(
     """
     start, machines, observers = with_old_keywords(start or Start(), machines or Machines(), observers or Observers(), old)
     check_loggers(observers.loggers)
+    if machines.threads is not None:
+        torch.set_num_threads(machines.threads)
     if isinstance(METHODS[config.method], ArrayMethod):
         if observers.loggers:
             raise ConfigError(f"{config.method} has no epochs to log", hint="leave --logger out")
@@ -253,6 +244,10 @@ def fit(
         )
     if observers.progress is not None:
         observers.progress(0, 0, "reading frames")
+    if config.epoch_steps is not None and isinstance(training, GeneratedFrames):
+        raise ConfigError(
+            "epoch_steps counts batches of stored frames", hint="leave it out: --frames says how many are made an epoch"
+        )
     config = complete(config, training)  # reads frames where settings are measured: not before a run that is refused
     resumed = last if start.resume and last.exists() else None
     if resumed is not None:
@@ -267,7 +262,7 @@ def fit(
     average = [WeightAveraging(avg_fn=_moving_average(config.average))] if config.average else []
     curves = Curves(out, monitor, mode, config.patience, observers.draw)
     reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
-    with _quiet(), _too_little_memory(config.batch, last), open_loggers(observers.loggers, out / "log") as loggers:
+    with quiet(), too_little_memory(config.batch, last), open_loggers(observers.loggers, out / "log") as loggers:
         trainer = lightning.Trainer(
             default_root_dir=out, max_epochs=config.epochs, precision=usable_precision(config.precision),
             devices=machines.devices, num_nodes=machines.nodes,
@@ -282,7 +277,7 @@ def fit(
             detector.spare_batches = config.epochs * config.workers
         if start.init is not None and not last.exists():
             begin_with(detector, start.init, training)
-        with output_errors(out), _alone(out, trainer), _interruptible():
+        with output_errors(out), alone(out, trainer), interruptible():
             trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"
 
@@ -295,28 +290,6 @@ class _WholeCheckpoints(TorchCheckpointIO):
         buffer = BytesIO()
         torch.save(checkpoint, buffer)
         write_whole(Path(path), buffer.getvalue(), kind=ModelError)
-
-
-@contextmanager
-def _alone(out: Path, trainer: lightning.Trainer) -> Iterator[None]:
-    """Hold a run's folder, which no other run goes on with meanwhile; the processes of this one share it."""
-    held = lock(out, out, ModelError) if trainer.is_global_zero else None
-    try:
-        yield
-    finally:
-        if held is not None:
-            os.close(held)
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Ctrl-C within `fit` is a KeyboardInterrupt; Lightning ends the process with code 1."""
-    try:
-        yield
-    except SystemExit as left:
-        if isinstance(left.__context__, KeyboardInterrupt):
-            raise left.__context__ from None
-        raise
 
 
 def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: Path, progress: Progress | None) -> Path:
@@ -355,38 +328,6 @@ def _moving_average(decay: float) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
         return kept * mean + (1 - kept) * value
 
     return update
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silences Lightning's advice and its list of devices; its errors stay."""
-    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
-    levels = [logger.level for logger in loggers]
-    with warnings.catch_warnings():
-        for pattern in _NOISE:
-            warnings.filterwarnings("ignore", pattern)
-        for logger in loggers:
-            logger.setLevel(logging.ERROR)
-        try:
-            yield
-        finally:
-            for logger, level in zip(loggers, levels, strict=True):
-                logger.setLevel(level)
-
-
-@contextmanager
-def _too_little_memory(batch: int, last: Path) -> Iterator[None]:
-    """What torch, its devices and numpy raise for want of memory becomes a ConfigError that names the batch."""
-    try:
-        yield
-    except (MemoryError, RuntimeError) as error:  # torch's allocator on the CPU has no class of its own
-        if not isinstance(error, MemoryError | torch.OutOfMemoryError) and _NO_MEMORY.search(str(error)) is None:
-            raise
-        hint = "set a smaller `batch` in the file of --config"
-        if last.exists():
-            hint = "free memory and go on with --resume, or start a run with a smaller `batch` in another folder"
-        first = (str(error).splitlines() or ["no memory"])[0]
-        raise ConfigError(f"too little memory for batches of {batch} frames: {first}", hint=hint) from error
 
 
 def check_same(checkpoint: Path, config: TrainConfig) -> None:
@@ -447,8 +388,9 @@ def load_detector(path: Path) -> Detector:
 def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kept]) -> None:
     """Give a detector the weights of a checkpoint or of a compact model in an ONNX file.
 
-    Parts that the other one does not have keep their own. Norms that were folded on export are measured on `training`.
-    Raises ModelError where that one is of another network.
+    Parts that the other one does not have keep their own. Where the places are others, and the network is of the same size
+    nevertheless, the first of these stands for the first of those, and so on, with a warning. Norms that were folded on export
+    are measured on `training`. Raises ModelError where that one is of another network.
     """
     source = packaged_models().get(str(source), source)
     folded: tuple[str, ...] = ()
@@ -458,7 +400,7 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
         other = load_detector(source)
         theirs, state, learnt = other.method_config, other.network.state_dict(), other.trained_on
     mine = detector.method_config
-    fits = type(mine) is type(theirs) and (mine.joints, mine.slots) == (theirs.joints, theirs.slots)
+    fits = type(mine) is type(theirs) and mine.joints == theirs.joints
     try:
         if fits:
             fits = not detector.network.load_state_dict(state, strict=False).unexpected_keys
@@ -469,6 +411,8 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
         raise ModelError(
             f"{source} is of another network: {', '.join(other_names)}", hint="begin with a run of the same method and settings"
         )
+    if mine.slots != theirs.slots:
+        warnings.warn(f"{source} has learnt other places: {', '.join(theirs.slots)}", stacklevel=3)
     detector.trained_on = learnt
     if folded:
         frames = _some(training)

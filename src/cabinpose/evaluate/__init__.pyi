@@ -32,6 +32,13 @@ from .parts import PartsReport as PartsReport
 from .parts import PartsValue as PartsValue
 from .parts import evaluate_parts as evaluate_parts
 from .parts import pairs as pairs
+from .repeats import Measure as Measure
+from .repeats import ModelErrors as ModelErrors
+from .repeats import OverRepeats as OverRepeats
+from .repeats import accuracy_curve as accuracy_curve
+from .repeats import errors_of as errors_of
+from .repeats import joined_errors as joined_errors
+from .repeats import over_repeats as over_repeats
 from .report import Report as Report
 from .report import make_report as make_report
 from .sample_view import ALL as ALL

@@ -1,4 +1,4 @@
-"""`cabinpose experiment`: train and compare methods as the thesis' Table 6.1 does."""
+"""`cabinpose experiment`: run experiments that files describe, and compare methods as the thesis' Table 6.1 does."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, several
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError
@@ -17,19 +17,73 @@ from cabinpose.core import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from cabinpose.app.experiment.cells import ExperimentCell
+    from cabinpose.app.experiment.plan import ExperimentPlan
     from cabinpose.evaluate import Report
 
 
 @dataclass(frozen=True, kw_only=True)
-class Experiment(PrintsJson):
+class RunExperiment(PrintsJson):
+    """Make the datasets, models and tests that a file names, and its page; what is there is not made again.
+
+    What is wrong with the file or the frames is told before anything runs. An interrupted run goes on; it loses an epoch at most.
+    """
+
+    name: Positional[str]
+    """Name of an experiment of the package, or its file (YAML)."""
+    scale: str = "small"
+    """Scale of the file: small, paper, or a factor on the paper's frames and steps."""
+    only: Annotated[tuple[str, ...], several("CELL [CELL ...]")] = ()
+    """Only these trainings, tests, datasets, or repeats (R1.2), and what they need."""
+    data: Annotated[tuple[str, ...], several("NAME=FOLDER ...")] = ()
+    """Folders of your own datasets in place of those that the file names."""
+    out: Path = Path("experiments")
+    """Folder of cells, which experiments share, and of a folder with the page of each experiment."""
+    workers: Maybe[int] = None
+    """Processes of this machine, each on one thread; default: one per core."""
+    scheduler: Maybe[str] = None
+    """Address of a running Dask cluster that makes the cells; exclusive with --workers."""
+    resamples: int = 1000
+    """Resamples of the bootstrap for the intervals; 0: no intervals."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class List(PrintsJson):
+    """List the experiments of the package."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show(PrintsJson):
+    """Say what an experiment would make at a scale: its cells, their frames, and the CPU time to expect."""
+
+    name: Positional[str]
+    """Name of an experiment of the package, or its file (YAML)."""
+    scale: str = "small"
+    """Scale of the file: small, paper, or a factor on the paper's frames and steps."""
+    data: Annotated[tuple[str, ...], several("NAME=FOLDER ...")] = ()
+    """Folders of your own datasets in place of those that the file names."""
+    out: Path = Path("experiments")
+    """Folder of cells, to say which of them are there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remake(PrintsJson):
+    """Make the page of an experiment again from the cells that are there, also of one that is not finished."""
+
+    folder: Positional[Path]
+    """Folder of the page, as `experiment run` names it."""
+    resamples: int = 1000
+    """Resamples of the bootstrap for the intervals; 0: no intervals."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare(PrintsJson):
     """Train methods that find ITOP's joints on the same data, run them on the same frames, and set their numbers side by side.
 
     What a step has left in --out is not made again, so that an interrupted experiment goes on. A method is trained by a small
     recipe (networks for 20 epochs at 96x96 px), by that of --recipe, or not at all where --model gives one.
     """
 
-    name: Annotated[Positional[Literal["compare"]], arg(metavar="compare")]
-    """The experiment."""
     out: Path
     """Folder of the experiment: models, answers, index.html, report.json, and of each test a page and boxes.png."""
     test: Annotated[tuple[Path, ...], several("TEST [TEST ...]")]
@@ -50,11 +104,161 @@ class Experiment(PrintsJson):
     """Resamples of the bootstrap for the intervals; 0: no intervals."""
 
 
-COMMAND = Experiment
+COMMAND = one_of(run=RunExperiment, list=List, show=Show, report=Remake, compare=Compare)
+_KINDS = ("data", "training", "test")
 
 
-def run(command: Experiment) -> None:
-    """Train, run and judge what is not there yet; the tables go to stdout, the pages to `out`."""
+def run(command: RunExperiment | List | Show | Remake | Compare) -> None:
+    """Do what the first word says; tables go to stdout, pages to folders."""
+    if isinstance(command, RunExperiment):
+        _run(command)
+    elif isinstance(command, List):
+        _list(command)
+    elif isinstance(command, Show):
+        _show(command)
+    elif isinstance(command, Remake):
+        _report(command)
+    else:
+        _compare(command)
+
+
+def _run(command: RunExperiment) -> None:
+    import os
+
+    from cabinpose.app.experiment.cells import DataCell
+    from cabinpose.app.experiment.page import is_written, write_results
+    from cabinpose.app.experiment.results import results_of
+    from cabinpose.app.experiment.schedule import make_cells
+
+    if command.workers is not None and command.scheduler is not None:
+        raise ConfigError(
+            "--workers are processes of this machine, --scheduler is a cluster elsewhere", hint="give one of the two"
+        )
+    if command.workers is not None and command.workers < 1:
+        raise ConfigError(f"cannot work with {command.workers} workers", hint="ask for at least 1 worker")
+    require("train")
+    plan, asked = _planned(command.name, command.scale, command.data, command.out)
+    cells = plan.chosen(command.only)
+    missing = [cell for cell in cells if not cell.done]
+    workers = command.scheduler or command.workers or os.cpu_count() or 1
+    with progress(len(cells), "cells", start=len(cells) - len(missing)) as shown:
+        done = len(cells) - len(missing)
+
+        def told(cell: ExperimentCell, record: dict[str, Any]) -> None:
+            nonlocal done
+            done += 1
+            shown(done, f"{cell.name} made in {record['cpu_s']:.0f} CPU s")
+
+        datasets = [cell for cell in missing if isinstance(cell, DataCell)]
+        make_cells(datasets, workers, told)
+        if missing:
+            plan.check_frames(cells)
+        make_cells([cell for cell in missing if not isinstance(cell, DataCell)], workers, told)
+    folder = command.out / Path(command.name).stem.lower() / command.scale
+    asked |= {"resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
+    if missing or not is_written(folder, asked):
+        write_results(folder, plan, results_of(plan, command.resamples), asked)
+    if command.as_json:
+        print_json({"page": str(folder / "index.html"), "cells": len(cells), "made": len(missing)})
+        return
+    _tell(folder)
+    print(f"{len(missing)} of {len(cells)} cells made now; open {folder / 'index.html'}", file=sys.stderr)
+
+
+def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[ExperimentPlan, dict[str, object]]:
+    """The plan of an experiment, and what was asked for, as plain data."""
+    from cabinpose.app.experiment.config import find, load
+    from cabinpose.app.experiment.plan import make_plan
+
+    given = {}
+    for word in data:
+        key, equals, folder = word.partition("=")
+        if not equals or not folder:
+            raise ConfigError(f"--data {word} names no folder", hint="write --data real=FOLDER")
+        given[key] = Path(folder)
+    experiment = load(find(name))
+    asked: dict[str, object] = {
+        "experiment": experiment.model_dump(mode="json"), "scale": scale, "out": str(out.resolve()),
+        "data": {key: str(folder.resolve()) for key, folder in given.items()},
+    }  # fmt: skip
+    return make_plan(experiment, scale, out.resolve(), given), asked
+
+
+def _tell(folder: Path) -> None:
+    """Print the table of a page, and what is to be known before it."""
+    print(printable((folder / "table.md").read_text("utf-8")), end="")
+
+
+def _list(command: List) -> None:
+    from cabinpose.app.experiment.config import load, packaged
+
+    known = {name: load(path) for name, path in packaged().items()}
+    if command.as_json:
+        print_json({"experiments": {name: each.title for name, each in known.items()}})
+        return
+    print_table([["", "title", "from"], *([name, each.title, each.source] for name, each in known.items())], words=(0, 1, 2))
+
+
+def _show(command: Show) -> None:
+    from cabinpose.app.experiment.cells import DataCell, TestCell
+    from cabinpose.app.experiment.plan import same_cells
+
+    plan, _ = _planned(command.name, command.scale, command.data, command.out)
+    cells = plan.cells
+    kinds = [_KINDS[0 if isinstance(c, DataCell) else 2 if isinstance(c, TestCell) else 1] for c in cells]
+    total = sum(cell.expected_s for cell in cells)
+    left = sum(cell.expected_s for cell in cells if not cell.done)
+    if command.as_json:
+        told = [
+            {
+                "cell": c.name,
+                "kind": kind,
+                "frames": c.frame_count,
+                "cpu_s": c.expected_s,
+                "done": c.done,
+                "folder": str(c.folder),
+            }
+            for c, kind in zip(cells, kinds, strict=True)
+        ]
+        print_json({"title": plan.experiment.title, "scale": command.scale, "cells": told, "cpu_s": total, "left_cpu_s": left})
+        return
+    print(plan.experiment.title)
+    rows = [["cell", "kind", "frames", "CPU s expected", ""]]
+    for cell, kind in zip(cells, kinds, strict=True):
+        took = f"there, took {cell.record['cpu_s']:.0f}" if cell.done else ""
+        rows.append([cell.name, kind, str(cell.frame_count), f"{cell.expected_s:.0f}", took])
+    print_table(rows, words=(0, 1, 4))
+    for name, other in same_cells([cell for each in plan.trained.values() for cell in each]).items():
+        print(f"{name} is {other} at this scale")
+    print(f"{len(cells)} cells, {total / 3600:.2f} CPU hours expected, {left / 3600:.2f} of them left")
+
+
+def _report(command: Remake) -> None:
+    from cabinpose.app.experiment.config import Experiment
+    from cabinpose.app.experiment.page import PLAN, write_results
+    from cabinpose.app.experiment.plan import make_plan
+    from cabinpose.app.experiment.results import results_of
+    from cabinpose.store import read_mapping, validated
+
+    file = command.folder / PLAN
+    if not file.exists():
+        raise ConfigError(
+            f"{command.folder} is no folder of an experiment's page", hint="give the one that `experiment run` names"
+        )
+    asked = read_mapping(file, hint="run the experiment again")
+    experiment = validated(Experiment, asked["experiment"], file, hint="run the experiment again")
+    given = {name: Path(folder) for name, folder in asked["data"].items()}
+    plan = make_plan(experiment, asked["scale"], Path(asked["out"]), given)
+    asked |= {"resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
+    write_results(command.folder, plan, results_of(plan, command.resamples), asked)
+    if command.as_json:
+        print_json({"page": str(command.folder / "index.html")})
+        return
+    _tell(command.folder)
+    print(f"open {command.folder / 'index.html'}", file=sys.stderr)
+
+
+def _compare(command: Compare) -> None:
     from cabinpose.app.cli.evaluate import write_boxes, write_report
     from cabinpose.app.compare import answers, judged, named, of_joints, open_test
     from cabinpose.app.report.comparison import comparison_html, joint_rows, table_rows
@@ -107,7 +311,7 @@ def _record(reports: Mapping[str, Report], facts: Mapping[str, Any]) -> dict[str
 
 
 def _models(
-    command: Experiment, methods: list[str], given: Mapping[str, str], recipes: Mapping[str, str]
+    command: Compare, methods: list[str], given: Mapping[str, str], recipes: Mapping[str, str]
 ) -> tuple[dict[str, Path], list[str]]:
     """The model file of each method, trained where none is given, and a line on each of where it is from."""
     from cabinpose.app.compare import recipe, train_model

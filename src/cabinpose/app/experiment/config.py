@@ -1,0 +1,245 @@
+"""The file of an experiment: its keys, how one file builds on another, and the scales that it can be run at."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from cabinpose.core import ConfigError, unknown_name
+from cabinpose.evaluate import Measure
+from cabinpose.store import read_mapping, validated
+
+HINT = "docs/experiments.md lists the keys"
+_DEPTH = 8  # files that build on each other
+Positive = Annotated[int, Field(ge=1)]
+Shared = Literal["subject", "car", "sequence"]
+
+
+class Keys(BaseModel):
+    """Base of all keys: frozen, unknown ones refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Data(Keys):
+    """A dataset: a folder, or a stand-in that is generated."""
+
+    folder: Path | None = Field(None, description="Folder of a dataset; relative to the file.")
+    synth: Mapping[str, Any] | None = Field(None, description="Configuration of the scenes of a stand-in, as of `synth`.")
+    seed: int = Field(0, ge=0, description="Seed of a stand-in.")
+    frames: Positive | Mapping[str, Positive] | None = Field(
+        None, description="Of a stand-in: in all, or by subject; left out: all of scene.factorial."
+    )
+    changes: Mapping[str, Mapping[str, Any]] = Field({}, description="By subject: what is otherwise in their frames' scenes.")
+    stands_for: str = Field("", description="What a stand-in stands for, in words.")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.folder is None) == (self.synth is None):
+            raise ConfigError("a dataset is a folder or a stand-in", hint="give one of folder and synth")
+        if unknown := [name for name in self.changes if not isinstance(self.frames, Mapping) or name not in self.frames]:
+            raise unknown_name("subject", unknown[0], list(self.frames) if isinstance(self.frames, Mapping) else [])
+        return self
+
+
+class FrameSelection(Keys):
+    """Some frames of a dataset."""
+
+    data: str = Field(description="Name of a dataset of the file.")
+    frames: Positive | None = Field(None, description="How many are drawn; left out: all that the selection has.")
+    scaled: bool = Field(True, description="Whether a scale changes that number.")
+    subject: tuple[str, ...] = Field((), description="Everybody in the frame is one of these.")
+    car: tuple[str, ...] = Field((), description="Cars.")
+    action: tuple[str, ...] = Field((), description="Everybody in the frame does one of these.")
+    pov: tuple[str, ...] = Field((), description="Views.")
+    sequence: tuple[int, ...] = Field((), description="Sequences, by number.")
+    depth: Literal["depth", "depth_styled", "depth_clean"] = Field("depth", description="The image that is read as depth.")
+    places: Mapping[str, str] = Field({}, description="Places of the dataset by new names: {standing: driver}; the others go.")
+
+    @property
+    def selection(self) -> dict[str, tuple[Any, ...]]:
+        """What the frames are selected by; see `store.frame_mask`."""
+        names = ("subject", "car", "action", "pov", "sequence")
+        return {name: values for name in names if (values := getattr(self, name))}
+
+
+class FineTuning(Keys):
+    """A second training that begins with the weights of the first one."""
+
+    train: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames to learn from.")
+    validation: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames that decide on the best epoch.")
+    share: float = Field(0.1, gt=0, lt=1, description="Of the training's epochs; the first one has the rest.")
+
+
+class Training(Keys):
+    """A row of the tables."""
+
+    train: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames to learn from; several parts are mixed.")
+    validation: tuple[FrameSelection, ...] = Field(min_length=1, description="Frames that decide on the best epoch.")
+    fine_tune: FineTuning | None = Field(None, description="What follows on other frames.")
+    recipe: Mapping[str, Any] = Field({}, description="Changes to the experiment's recipe.")
+    may_share: tuple[Literal["subject"], ...] = Field(
+        (), description="subject: other frames of people who are learnt from validate, as the thesis has it."
+    )
+
+
+class JudgedFrames(Keys):
+    """Frames that models are judged on."""
+
+    frames: tuple[FrameSelection, ...] = Field(min_length=1, description="The frames; several parts follow each other.")
+    may_share: tuple[Shared, ...] = Field((), description="What they may share with frames of trainings.")
+
+
+class TableColumn(Keys):
+    """A column of the table."""
+
+    title: str = Field(description="What stands above it.")
+    test: str = Field(description="Name of a test.")
+    measure: Measure = Field("pckh", description="What is measured.")
+    space: Literal["2d", "3d"] = Field("2d", description="In px or in m.")
+    threshold: float = Field(0.5, gt=0, description="Of pckh in head sizes, of pck in px or m.")
+    joints: str = Field("All", description="All, a group of joints, or a joint.")
+
+
+class Curve(Keys):
+    """A column drawn over numbers of frames."""
+
+    title: str = Field(description="What stands above it.")
+    column: str = Field(description="Title of the column.")
+    over: str = Field(description="Dataset whose training frames are counted along x.")
+    lines: Mapping[str, tuple[str, ...]] = Field(description="Trainings by the name of their line.")
+
+
+class RunScale(Keys):
+    """How large an experiment is run."""
+
+    frames: float = Field(1.0, gt=0, description="Factor on all numbers of frames.")
+    least: Positive = Field(1, description="Numbers of frames that are scaled down stay above this, or as they are.")
+    steps: Positive | None = Field(None, description="Batches of every training; left out: whole passes, `epochs` of them.")
+    epochs: Positive = Field(20, description="Epochs of every training, after each of which it is validated.")
+    repeats: Positive = Field(1, description="Trainings with other seeds, of each row.")
+    recipe: Mapping[str, Any] = Field({}, description="Changes to the experiment's recipe.")
+    sample_s: float = Field(0.1, gt=0, description="CPU seconds that a sample of training is expected to take.")
+
+    def count(self, frames: int, scaled: bool = True) -> int:
+        """A number of frames at this scale."""
+        return max(round(frames * self.frames), min(self.least, frames)) if scaled else frames
+
+
+class Experiment(Keys):
+    """An experiment."""
+
+    title: str = Field(description="In a line.")
+    source: str = Field("", description="Where it is from.")
+    about: str = Field("", description="What is to be known of it, on its page.")
+    recipe: Mapping[str, Any] = Field({}, description="Keys of a training's configuration, but epochs and seed.")
+    scales: Mapping[str, RunScale] = Field({"paper": RunScale()}, description="By name; `paper` has the file's own numbers.")
+    data: Mapping[str, Data] = Field(min_length=1, description="The datasets by name.")
+    trainings: Mapping[str, Training] = Field(min_length=1, description="The rows by name.")
+    tests: Mapping[str, JudgedFrames] = Field(min_length=1, description="The tests by name.")
+    columns: tuple[TableColumn, ...] = Field(min_length=1, description="The columns of the table.")
+    curves: tuple[Curve, ...] = Field((), description="Columns drawn over numbers of frames.")
+    published: Mapping[str, Mapping[str, float]] = Field({}, description="Figures of the source, by training and column.")
+
+    @model_validator(mode="after")
+    def _names(self) -> Self:
+        titles = [column.title for column in self.columns]
+        for part in self.parts:
+            _known("dataset", part.data, self.data)
+        for column in self.columns:
+            _known("test", column.test, self.tests)
+        for curve in self.curves:
+            _known("column", curve.column, titles)
+            _known("dataset", curve.over, self.data)
+            for name in (name for line in curve.lines.values() for name in line):
+                _known("training", name, self.trainings)
+        for name, row in self.published.items():
+            _known("training", name, self.trainings)
+            for title in row:
+                _known("column", title, titles)
+        _known("scale", "paper", self.scales)
+        return self
+
+    @property
+    def parts(self) -> list[FrameSelection]:
+        """Every selection of frames in the file."""
+        rows: list[Training | FineTuning] = [*self.trainings.values()]
+        rows += [row.fine_tune for row in self.trainings.values() if row.fine_tune]
+        return [*(p for row in rows for p in (*row.train, *row.validation)), *(p for t in self.tests.values() for p in t.frames)]
+
+    def scale(self, name: str) -> RunScale:
+        """The scale of a name, or the paper's with frames and batches times a factor, never below 200 frames.
+
+        Raises ConfigError for a name that is neither.
+        """
+        if name in self.scales:
+            return self.scales[name]
+        try:
+            factor = float(name)
+        except ValueError:
+            raise unknown_name("scale", name, [*self.scales, "a factor, such as 0.5"]) from None
+        if not 0 < factor < float("inf"):
+            raise ConfigError(f"{name} is no scale", hint=f"give a number above 0, or one of: {', '.join(self.scales)}")
+        paper = self.scales["paper"]
+        steps = None if paper.steps is None else max(round(paper.steps * factor), 1)
+        return paper.model_copy(update={"frames": paper.frames * factor, "least": 200, "steps": steps})
+
+
+def _known(kind: str, name: str, names: Any) -> None:
+    if name not in names:
+        raise unknown_name(kind, name, list(names))
+
+
+def packaged() -> dict[str, Path]:
+    """The files of the package by the name of their experiment."""
+    folder = files("cabinpose.app.experiment") / "experiments"
+    found = sorted(Path(str(path)) for path in folder.iterdir())
+    return {path.stem: path for path in found if path.suffix == ".yaml" and not path.name.startswith("_")}
+
+
+def find(name: str) -> Path:
+    """The file that a name or a path stands for. Raises ConfigError where there is none."""
+    known = packaged()
+    path = known.get(name.lower(), Path(name))
+    if path.suffix not in (".yaml", ".yml"):
+        raise unknown_name("experiment", name, list(known))
+    return path
+
+
+def load(path: Path) -> Experiment:
+    """Read and check a file. Raises ConfigError that names the key."""
+    return validated(Experiment, _mapping(path, _DEPTH), path, hint=HINT)
+
+
+def _mapping(path: Path, depth: int) -> dict[str, Any]:
+    """What a file says, laid over what it extends; folders relative to it."""
+    data = read_mapping(path, hint=HINT)
+    for each in data.get("data", {}).values() if isinstance(data.get("data"), dict) else ():
+        if isinstance(each, dict) and isinstance(each.get("folder"), str):
+            each["folder"] = str(path.parent / each["folder"])
+    bases = data.pop("extends", None) or []
+    if bases and not depth:
+        raise ConfigError(f"{path} builds on too many files", hint="leave out `extends`, or end the circle")
+    whole: dict[str, Any] = {}
+    for base in [bases] if isinstance(bases, str) else bases:
+        beside = path.parent / (str(base) if str(base).endswith((".yaml", ".yml")) else f"{base}.yaml")
+        whole = merged(whole, _mapping(beside if beside.exists() else find(str(base)), depth - 1))
+    return merged(whole, data)
+
+
+def merged(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """A mapping with the keys of another one in place of its own, and mappings within it likewise; null takes a key away."""
+    result = copy.deepcopy(dict(base))
+    for name, value in change.items():
+        if value is None:
+            result.pop(name, None)
+        elif isinstance(value, Mapping) and isinstance(result.get(name), Mapping):
+            result[name] = merged(result[name], value)
+        else:
+            result[name] = copy.deepcopy(value)
+    return result

@@ -1,0 +1,332 @@
+"""The frames of an experiment: what each dataset is made of, who is in it, and which of its frames a selection draws."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from cabinpose import __version__
+from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameSelection, RunScale, Training, merged
+from cabinpose.app.training_split import individuals
+from cabinpose.core import ConfigError, DatasetError, unknown_name
+from cabinpose.store import dataset_id, frame_mask, open_dataset, read_manifest
+from cabinpose.synth import CabinScene, SynthConfig
+
+Identity = tuple[str, int | None]
+"""A person, or a car, by name; with the seed of their dataset where it drew them at random."""
+_RANDOM_CAR = re.compile(r"(C\d{4,}|room_\d+)")
+_DRAW = 39  # seed of the order in which frames are drawn: of the same selection, more frames are the same ones and others
+
+
+@dataclass(frozen=True)
+class DatasetPiece:
+    """A dataset folder: a user's, or a stand-in that is generated.
+
+    name: of the dataset, and of the subject whose frames alone it has · key: of what is in it · people, cars: who and what may be
+    in it · config: of a stand-in, as JSON; "" for a folder of the user's.
+    """
+
+    name: str
+    folder: Path
+    key: str
+    frames: int
+    people: frozenset[Identity]
+    cars: frozenset[Identity]
+    config: str = ""
+    seed: int = 0
+
+
+Drawn = list[tuple[DatasetPiece, NDArray[np.int64]]]
+"""Positions of frames, rising, by their piece."""
+
+
+@dataclass(frozen=True)
+class SelectedFrames:
+    """A part of a dataset as a cell takes it: the numbers of frames are those of the scale."""
+
+    part: FrameSelection
+    pieces: tuple[DatasetPiece, ...]
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """All that decides on the frames, as plain data."""
+        return {"part": self.part.model_dump(mode="json"), "pieces": [piece.key for piece in self.pieces]}
+
+    @property
+    def people(self) -> set[Identity]:
+        """Who may be in the frames."""
+        return {who for piece in self.pieces for who in piece.people if not self.part.subject or who[0] in self.part.subject}
+
+    @property
+    def cars(self) -> set[Identity]:
+        """Which cars may be in the frames."""
+        return {car for piece in self.pieces for car in piece.cars if not self.part.car or car[0] in self.part.car}
+
+    @property
+    def most(self) -> int:
+        """No selection can have more frames than this; of a user's folder just as many."""
+        wanted = self.part.subject
+        return sum(p.frames for p in self.pieces if not wanted or any(name in wanted for name, _ in p.people))
+
+    @property
+    def frames(self) -> int:
+        """How many frames are drawn, as far as it is known before they are there."""
+        return self.most if self.part.frames is None else self.part.frames
+
+
+def digest(facts: Any) -> str:
+    """A key of plain data, and of the version of this package."""
+    text = json.dumps([__version__, facts], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+Wanted = dict[tuple[str, ...], int]
+"""The most frames that a training or a test draws of a dataset, by the subjects that it selects; () = of all."""
+
+
+def wanted_frames(experiment: Experiment, scale: RunScale) -> dict[str, Wanted]:
+    """What is drawn of each dataset at a scale."""
+    rows: list[Training | FineTuning] = [*experiment.trainings.values()]
+    rows += [row.fine_tune for row in experiment.trainings.values() if row.fine_tune]
+    result: dict[str, Wanted] = {name: {} for name in experiment.data}
+    for parts in [[*(*row.train, *row.validation)] for row in rows] + [[*test.frames] for test in experiment.tests.values()]:
+        counts: Counter[tuple[str, tuple[str, ...]]] = Counter()
+        for part in parts:
+            counts[part.data, part.subject] += scale.count(part.frames, part.scaled) if part.frames else 0
+        for (name, subjects), count in counts.items():
+            result[name][subjects] = max(result[name].get(subjects, 0), count)
+    return result
+
+
+def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Path | None, out: Path) -> tuple[DatasetPiece, ...]:
+    """What a dataset is made of at a scale.
+
+    Parameters
+    ----------
+    name, data
+        The dataset.
+    scale
+        Of the numbers of frames.
+    wanted
+        What is drawn of it at this scale: where rounding, or the least number of frames, asks for more, more are made.
+    given
+        A folder of the user's in its place.
+    out
+        Where stand-ins are made.
+
+    Raises
+    ------
+    ConfigError
+        For scenes that cannot be made.
+    DatasetError
+        For a folder without a dataset.
+    """
+    folder = given or data.folder
+    if folder is not None:
+        return (_folder_piece(name, folder),)
+    plain, counts = dict(data.synth or {}), data.frames
+    if isinstance(counts, Mapping):
+        scaled = {subject: scale.count(frames) for subject, frames in counts.items()}
+        if scale.frames < 1.0:
+            for subjects, count in wanted.items():
+                who = [subject for subject in scaled if not subjects or subject in subjects]
+                if count > sum(scaled[subject] for subject in who):
+                    scaled |= {subject: max(scaled[subject], -(-count // len(who))) for subject in who}
+        return tuple(
+            _stand_in(f"{name}/{subject}", _of_subject(name, data, subject), frames, data.seed + number, out)
+            for number, (subject, frames) in enumerate(scaled.items())
+        )
+    most = max(wanted.values(), default=0) if scale.frames < 1.0 else 0
+    config = _parsed(name, plain)
+    scene = config.scene
+    if counts is None and isinstance(scene, CabinScene) and scene.factorial is not None:
+        of_each = (config.frames or 1) / scene.factorial.poses
+        poses = max(math.ceil(scene.factorial.poses * scale.frames), math.ceil(most / of_each), 1)
+        plain = merged(plain, {"scene": {"factorial": {"poses": poses}}})
+        config = _parsed(name, plain)
+    elif counts is None:
+        raise ConfigError(
+            f"data.{name}: it is not said how many frames", hint="give `frames`; scenes are drawn at random without end"
+        )
+    frames = config.frames_or_all(None) if counts is None else max(scale.count(counts), most)
+    return (_stand_in(name, config, frames, data.seed, out),)
+
+
+def _folder_piece(name: str, folder: Path) -> DatasetPiece:
+    dataset = open_dataset(folder)
+    key = dataset_id(read_manifest(folder))
+    people = frozenset(individuals(dataset))
+    return DatasetPiece(name, folder.resolve(), key, dataset.sizes["frame"], people, frozenset(_cars(dataset)))
+
+
+def _of_subject(name: str, data: Data, subject: str) -> SynthConfig:
+    """The scenes of one subject: the dataset's, with nobody else in them."""
+    plain = merged(dict(data.synth or {}), data.changes.get(subject, {}))
+    people = dict(plain.get("people", {}))
+    own = people.get("own", {})
+    people |= {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
+    return _parsed(f"{name}/{subject}", plain | {"people": people})
+
+
+def _parsed(name: str, plain: Mapping[str, Any]) -> SynthConfig:
+    try:
+        return SynthConfig.parse(dict(plain))
+    except ConfigError as error:
+        raise ConfigError(f"data.{name}.synth: {error}", hint=error.hint) from error
+
+
+def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path) -> DatasetPiece:
+    text = config.model_dump_json()
+    key = digest({"synth": text, "seed": seed, "frames": frames})
+    people = config.people
+    named = {(who, None) for who in (*people.subjects, *people.own)}
+    crowd = {(f"R{number:04d}", seed) for number in range(people.random.count if people.random else 0)}
+    cars: set[Identity] = set()
+    if isinstance(config.scene, CabinScene):
+        cars = {(car if isinstance(car, str) else str(getattr(car, "name", "")), None) for car in config.scene.cars}
+        cars |= {(f"C{number:04d}", seed) for number in range(config.scene.random_cars)}
+    return DatasetPiece(
+        name, out / "data" / key, key, frames, frozenset(named | crowd), frozenset(cars), text, seed
+    )  # fmt: skip
+
+
+def _cars(dataset: xr.Dataset) -> set[Identity]:
+    """The cars, and rooms, of frames."""
+    pairs = set(zip(dataset["car"].values.astype(str).tolist(), dataset["seed"].values.tolist(), strict=True))
+    return {(name, int(seed) if _RANDOM_CAR.fullmatch(name) else None) for name, seed in pairs if name}
+
+
+def check_subjects(source: SelectedFrames, where: str) -> None:
+    """Raise ConfigError for subjects or cars that the dataset cannot have, or for more frames than there can be."""
+    for kind, wanted, there in (
+        ("subject", source.part.subject, {name for p in source.pieces for name, _ in p.people}),
+        ("car", source.part.car, {name for p in source.pieces for name, _ in p.cars}),
+    ):
+        for name in wanted:
+            if name not in there:
+                error = unknown_name(kind, name, sorted(there))
+                raise ConfigError(f"{where}: {error}", hint=error.hint)
+    if source.part.frames is not None and source.part.frames > source.most:
+        raise _too_few(where, source.part, source.most)
+
+
+def _too_few(where: str, part: FrameSelection, there: int) -> ConfigError:
+    return ConfigError(
+        f"{where}: {part.frames} frames of {part.data} are asked for, and the selection has {there}",
+        hint=f"ask for at most {there}, select more of it, or make more with data.{part.data}.frames",
+    )
+
+
+def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_sequences: bool = False) -> Drawn:
+    """The frames that a part draws: in an order that depends on the selection alone, without those that others have taken.
+
+    Parameters
+    ----------
+    source
+        The part; its folders are there.
+    taken
+        What others drew.
+    where
+        What errors call it.
+    whole_sequences
+        Draw one sequence after the other, for frames that shall not be neighbours of others.
+
+    Raises
+    ------
+    ConfigError
+        Where there are too few.
+    DatasetError
+        For a value that the dataset does not have.
+    """
+    numbers, positions, sequences = [], [], []
+    for number, piece in enumerate(source.pieces):
+        dataset = open_dataset(piece.folder)
+        free = _selected(dataset, source, where)
+        for other in taken:
+            for other_piece, frames in other:
+                if other_piece.folder == piece.folder:
+                    free[frames] = False
+        at = np.flatnonzero(free)
+        numbers.append(np.full(len(at), number))
+        positions.append(at)
+        sequences.append(dataset["sequence"].values[at])
+    of, at, sequence = (np.concatenate(each) for each in (numbers, positions, sequences))
+    if not len(at):
+        raise ConfigError(
+            f"{where}: no frame of {source.part.data} is left", hint="look at the selection, and at `cabinpose info`"
+        )
+    if source.part.frames is not None and len(at) < source.part.frames:
+        raise _too_few(where, source.part, len(at))
+    rng = np.random.Generator(np.random.Philox(key=_DRAW))
+    order = rng.permutation(len(at))
+    if whole_sequences:
+        _, group = np.unique(np.stack((of, sequence)), axis=1, return_inverse=True)
+        many = group.max() > of.max()  # single frames are all of one sequence
+        order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable") if many else order[::-1]
+    chosen = order[: source.part.frames]
+    return [(source.pieces[n], np.sort(at[chosen[of[chosen] == n]])) for n in np.unique(of[chosen]).tolist()]
+
+
+def _selected(dataset: xr.Dataset, source: SelectedFrames, where: str) -> NDArray[np.bool_]:
+    """(frame,) whether a frame of a piece belongs to the selection; values that only other pieces have select nothing here."""
+    selection = {}
+    for name, wanted in source.part.selection.items():
+        there = set(dataset[name].values.ravel().tolist())
+        known = tuple(value for value in wanted if value in there)
+        if not known and len(source.pieces) == 1:
+            known = wanted  # is refused by name
+        if not known:
+            return np.zeros(dataset.sizes["frame"], bool)
+        selection[name] = known
+    try:
+        return frame_mask(dataset, selection)
+    except DatasetError as error:
+        raise DatasetError(f"{where}: {error}", hint=error.hint) from error
+
+
+def opened(part: FrameSelection, drawn: Drawn) -> dict[str, xr.Dataset]:
+    """The frames that were drawn, by the name of their piece, with depth and places as the part has them."""
+    result = {}
+    for piece, positions in drawn:
+        dataset = open_dataset(piece.folder).isel(frame=positions)
+        if part.depth != "depth":
+            if part.depth not in dataset:
+                raise DatasetError(f"{piece.name} has no {part.depth}", hint="leave `depth` out of the part")
+            dataset = dataset.drop_vars("depth").rename({part.depth: "depth"})
+        if part.places:
+            persons = [str(name) for name in dataset["person"].values]
+            for place in part.places:
+                if place not in persons:
+                    raise unknown_name("place", place, persons)
+            rows = [persons.index(place) for place in part.places]
+            dataset = dataset.isel(person=rows).assign_coords(person=list(part.places.values()))
+        result[piece.name] = dataset
+    return result
+
+
+def contents(drawn: Iterable[Drawn]) -> dict[str, set[Any]]:
+    """Who ("subject") and what ("car", "sequence") is in frames that were drawn, and the frames themselves ("frame").
+
+    Single frames are of no sequence.
+    """
+    found: dict[str, set[Any]] = {"subject": set(), "car": set(), "sequence": set(), "frame": set()}
+    for piece, positions in (each for one in drawn for each in one):
+        whole = open_dataset(piece.folder)
+        some = whole.isel(frame=positions)
+        found["subject"] |= individuals(some)
+        found["car"] |= _cars(some)
+        if len(np.unique(whole["sequence"])) > 1:
+            found["sequence"] |= {(str(piece.folder), int(each)) for each in np.unique(some["sequence"])}
+        found["frame"] |= {(str(piece.folder), int(each)) for each in positions}
+    return found

@@ -1,0 +1,168 @@
+"""The page of an experiment, and its table and pictures as files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
+from cabinpose.app.experiment.results import Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
+from cabinpose.app.finite import finite
+from cabinpose.app.report.charts import ValueScale, charts, legend, series_chart
+from cabinpose.app.report.html import Html, document, el, join, remark, section, table, with_small
+from cabinpose.app.report.raster import curves_chart, write_png
+from cabinpose.core import make_folder, write_together
+
+PLAN = "experiment.json"
+_INTERVALS = (
+    "Each cell: the mean over the repeats, and below it its 95 % interval by a bootstrap over repeats and frames, then each "
+    "repeat. Intervals over few repeats, and over frames of one sequence, are too narrow. Published figures are of the source's "
+    "own frames: they stand beside ours to be seen, and are no target."
+)
+_LOSSES = ("training loss", "validation loss")
+
+
+def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: dict[str, object]) -> None:
+    """Write index.html, table.md, table.csv, report.json, pictures, and what was asked for, with which the page is made again."""
+    make_folder(folder)
+    rows = table_rows(plan, results)
+    numbers = {f"{row}: {title}": None if n is None else n._asdict() for (row, title), n in results.numbers.items()}
+    files = {
+        "index.html": page_html(plan, results),
+        "table.md": markdown(plan, rows),
+        "table.csv": csv_text(plan, results),
+        "report.json": json.dumps(finite({"title": plan.experiment.title, "numbers": numbers}), allow_nan=False, indent=1) + "\n",
+        PLAN: json.dumps(asked, indent=1) + "\n",
+    }
+    write_together(folder, files)
+    for test, lines in results.accuracy.items():
+        write_png(folder / f"accuracy-{_file_name(test)}.png", [_accuracy(test, lines)], lines)
+    for title, lines in results.curves.items():
+        if any(xs for xs, _ in lines.values()):
+            write_png(folder / f"curve-{_file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
+
+
+def is_written(folder: Path, asked: dict[str, object]) -> bool:
+    """Whether the page is there, made of the same file and cells."""
+    there = all((folder / name).exists() for name in ("index.html", "table.md", PLAN))
+    return there and (folder / PLAN).read_text("utf-8") == json.dumps(asked, indent=1) + "\n"
+
+
+def remarks(plan: ExperimentPlan) -> list[str]:
+    """What is to be known before the numbers: stand-ins, what is shared on purpose, rows that are one, states of the code."""
+    experiment, told = plan.experiment, []
+    for name, pieces in plan.data.items():
+        if any(piece.config for piece in pieces):
+            what = experiment.data[name].stands_for
+            meant = f"a stand-in, generated, for {what}: figures on it say nothing of those frames" if what else "generated"
+            told.append(f"{name} is {meant}")
+    for name, row in experiment.trainings.items():
+        if row.may_share:
+            told.append(f"{name}: validated on other frames of people who are learnt from")
+    for name, test in experiment.tests.items():
+        if test.may_share:
+            told.append(
+                f"{name}: the tested frames may share the {', '.join(test.may_share)} with those learnt from, as the file says"
+            )
+    first = [cell for cells in plan.trained.values() for cell in cells]
+    told += [f"{name} is {other} at this scale" for name, other in same_cells(first).items()]
+    states: dict[str, list[str]] = {}
+    for cell in plan.cells:
+        if record := cell.record:
+            states.setdefault(str(record.get("code")), []).append(cell.name)
+    if len(states) > 1:
+        newest = max(states.values(), key=len)
+        others = [name for names in states.values() if names is not newest for name in names]
+        told.append(f"made by another state of the code than the others: {', '.join(others)}")
+    missing = sum(not cell.done for cell in plan.cells)
+    if missing:
+        told.append(f"{missing} of {len(plan.cells)} cells are not made: their numbers are missing")
+    return told
+
+
+def page_html(plan: ExperimentPlan, results: Results) -> str:
+    """The page."""
+    experiment = plan.experiment
+    notes = join(el("p", el("b", told)) for told in remarks(plan))
+    sections = [
+        section("What to know first", notes + remark(experiment.about)),
+        section("Table", _table(plan, results), _INTERVALS),
+        section("Accuracy over thresholds", _accuracies(results), "Per cent of all joints within a part of the head size."),
+        section("Over numbers of frames", _over_frames(results)),
+        section("Training", _losses(plan), "Training loss, blue, and validation loss, red, of the first repeat."),
+        section("Frames", table(_frame_rows(plan))),
+        section("What the cells took", table(cost_rows(plan), words=(0, 4))),
+    ]
+    return document(experiment.title, experiment.title, experiment.source, sections)
+
+
+def markdown(plan: ExperimentPlan, rows: Sequence[Sequence[str]]) -> str:
+    """The table as Markdown, below what is to be known before it."""
+    lines = [f"# {plan.experiment.title}", "", *(f"- {told}" for told in remarks(plan)), ""]
+    lines += [f"| {' | '.join(rows[0])} |", "|" + "---|" * len(rows[0]), *(f"| {' | '.join(row)} |" for row in rows[1:])]
+    return "\n".join(lines) + "\n"
+
+
+def _table(plan: ExperimentPlan, results: Results) -> Html:
+    experiment = plan.experiment
+    head: list[object] = ["", *(column.title for column in experiment.columns)]
+    rows = [head]
+    for row in experiment.trainings:
+        cells: list[object] = [row]
+        for column in experiment.columns:
+            value, span = cell_text(results.numbers[row, column.title])
+            figure = experiment.published.get(row, {}).get(column.title)
+            cells.append(with_small(value, " ".join([span, *([] if figure is None else [f"· published {figure:g}"])])))
+        rows.append(cells)
+    return table(rows)
+
+
+def _accuracy(test: str, lines: dict[str, tuple[list[float], list[float]]]) -> Html:
+    return series_chart(test, "head sizes", lines, scale=ValueScale(top=100.0), size=(640, 300))
+
+
+def _accuracies(results: Results) -> str:
+    names: Iterable[str] = dict.fromkeys(name for lines in results.accuracy.values() for name in lines)
+    drawn = [_accuracy(test, lines) for test, lines in results.accuracy.items()]
+    if not drawn:
+        return ""
+    groups: Iterable[str] = dict.fromkeys(name for lines in results.by_joint.values() for name in lines)
+    each = [
+        series_chart(f"{row} on {test}", "head sizes", lines, scale=ValueScale(top=100.0))
+        for (test, row), lines in results.by_joint.items()
+    ]
+    return legend(names) + charts(drawn, "two") + el("h3", "By joint") + legend(groups) + charts(each)
+
+
+def _over_frames(results: Results) -> str:
+    drawn = []
+    for title, lines in results.curves.items():
+        if any(xs for xs, _ in lines.values()):
+            drawn += [legend(lines), charts([series_chart(title, "frames", lines, size=(640, 300))], "two")]
+    return join(drawn)
+
+
+def _losses(plan: ExperimentPlan) -> str:
+    drawn = []
+    for row, cells in plan.trained.items():
+        if rows := losses(cells[0]):
+            drawn.append(el("div", el("h3", row), curves_chart(rows, None, "", False)))
+    return legend(_LOSSES) + charts(drawn) if drawn else ""
+
+
+def _frame_rows(plan: ExperimentPlan) -> list[list[str]]:
+    names = list(plan.data)
+    rows = [["", *(f"learnt: {name}" for name in names), "validated", "epochs", "steps an epoch", "repeats"]]
+    for name, cells in plan.trained.items():
+        for told, cell in ((f"{name}, first", cells[0].begins), (name, cells[0])):
+            if cell is not None:
+                counts = [frames_of(cell, data) for data in names]
+                steps = cell.recipe["epoch_steps"] or "one pass"
+                numbers = [sum(s.frames for s in cell.validation), cell.recipe["epochs"], steps, len(cells)]
+                rows.append([told, *map(str, counts), *map(str, numbers)])
+    return rows
+
+
+def _file_name(name: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in name)

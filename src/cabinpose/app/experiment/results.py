@@ -1,0 +1,186 @@
+"""The numbers of an experiment from the cells that are there: its table, curves, and what the cells took."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cabinpose.app.experiment.cells import TestCell, TrainCell
+from cabinpose.app.experiment.config import TableColumn
+from cabinpose.app.experiment.plan import ExperimentPlan, joints_of
+from cabinpose.core import CABINPOSE
+from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, accuracy_curve, over_repeats
+
+_GRID = np.linspace(0.0, 1.0, 51)  # head sizes
+Lines = dict[str, tuple[list[float], list[float]]]
+"""By name the xs and ys of lines."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """What is known of an experiment.
+
+    numbers: by training and title of the column, None where a cell is not there · accuracy: by test, per cent of all joints
+    within each part of the head size, by training · by_joint: the same by test and training, by group of joints · curves: by
+    title, over numbers of frames.
+    """
+
+    numbers: Mapping[tuple[str, str], OverRepeats | None]
+    accuracy: Mapping[str, Lines]
+    by_joint: Mapping[tuple[str, str], Lines]
+    curves: Mapping[str, Lines]
+
+
+def results_of(plan: ExperimentPlan, resamples: int) -> Results:
+    """The numbers of all cells that are there; resamples: of the bootstrap for the intervals."""
+    experiment, known = plan.experiment, _ErrorsRead()
+    numbers = {
+        (row, column.title): _number(known.runs(plan.tested[row, column.test]), column, resamples)
+        for row in experiment.trainings
+        for column in experiment.columns
+    }
+    accuracy, by_joint = {}, {}
+    for test in experiment.tests:
+        space = next((column.space for column in experiment.columns if column.test == test), "2d")
+        lines: Lines = {}
+        for row in experiment.trainings:
+            runs = [(errors, names) for errors, names in known.runs(plan.tested[row, test]) if errors.error_px.size]
+            if not runs:
+                continue
+            lines[row] = _mean_accuracy(runs, space, None)
+            groups = [name for name, members in CABINPOSE.groups.items() if set(members) & set(runs[0][1])]
+            by_joint[test, row] = {name: _mean_accuracy(runs, space, joints_of(name, runs[0][1])) for name in groups}
+        if lines:
+            accuracy[test] = lines
+    curves: dict[str, Lines] = {}
+    for curve in experiment.curves:
+        curves[curve.title] = {}
+        for name, rows in curve.lines.items():
+            points = [(frames_of(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows]
+            there = sorted((float(x), number.value) for x, number in points if number is not None)
+            curves[curve.title][name] = ([x for x, _ in there], [y for _, y in there])
+    return Results(numbers, accuracy, by_joint, curves)
+
+
+def _mean_accuracy(
+    runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], space: str, joints: Sequence[str] | None
+) -> tuple[list[float], list[float]]:
+    """The line of some joints, None = all: the mean over the repeats."""
+    columns = None if joints is None else [runs[0][1].index(joint) for joint in joints]
+    mean = np.mean([accuracy_curve(errors, _GRID, space, columns) for errors, _ in runs], axis=0)
+    return _GRID.tolist(), mean.tolist()
+
+
+class _ErrorsRead:
+    """The errors of tests that are there, each read once."""
+
+    def __init__(self) -> None:
+        self._read: dict[str, tuple[ModelErrors, tuple[str, ...]]] = {}
+
+    def runs(self, cells: Sequence[TestCell]) -> list[tuple[ModelErrors, tuple[str, ...]]]:
+        """Those of the repeats of a training; none where one of them is not there."""
+        if not all(cell.done for cell in cells):
+            return []
+        for cell in cells:
+            if cell.key not in self._read:
+                self._read[cell.key] = cell.errors()
+        return [self._read[cell.key] for cell in cells]
+
+
+def _number(runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], column: TableColumn, resamples: int) -> OverRepeats | None:
+    if not runs:
+        return None
+    names = runs[0][1]
+    chosen = None if column.joints == ALL else [names.index(j) for j in joints_of(column.joints, names)]
+    return over_repeats(
+        [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold, joints=chosen,
+        resamples=resamples,
+    )  # fmt: skip
+
+
+def frames_of(cell: TrainCell, data: str) -> int:
+    """The frames of a dataset that a model learns from."""
+    return sum(source.frames for source in cell.train if source.part.data == data)
+
+
+def cell_text(number: OverRepeats | None, digits: int = 1) -> tuple[str, str]:
+    """A number, and its interval with the least and the greatest repeat; a dash where there is none."""
+    if number is None or not math.isfinite(number.value):
+        return "–", ""
+    span = f"{number.low:.{digits}f} to {number.high:.{digits}f}" if math.isfinite(number.low) else ""
+    if len(number.each) > 1:
+        span += f" ({', '.join(f'{each:.{digits}f}' for each in number.each)})"
+    return f"{number.value:.{digits}f}", span
+
+
+def table_rows(plan: ExperimentPlan, results: Results) -> list[list[str]]:
+    """The table as text: a row a training, its frames, each column's number with its interval, and the source's figure."""
+    experiment = plan.experiment
+    titles = [column.title for column in experiment.columns]
+    published = [title for title in titles if any(title in row for row in experiment.published.values())]
+    names = list(experiment.data)
+    head = ["", *(f"frames of {name}" for name in names), *titles, *(f"{title}, published" for title in published)]
+    rows = [head]
+    for row, cells in plan.trained.items():
+        stages = [cells[0], *filter(None, [cells[0].begins])]
+        counts = [sum(frames_of(stage, name) for stage in stages) for name in names]
+        told = (cell_text(results.numbers[row, title]) for title in titles)
+        theirs = (experiment.published.get(row, {}).get(title) for title in published)
+        rows.append(
+            [
+                row,
+                *(str(count) if count else "–" for count in counts),
+                *(f"{value}, {span}" if span else value for value, span in told),
+                *("–" if figure is None else f"{figure:g}" for figure in theirs),
+            ]
+        )
+    return rows
+
+
+def csv_text(plan: ExperimentPlan, results: Results) -> str:
+    """Every number on a line of its own, as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["training", "column", "test", "value", "low", "high", "repeats", "published"])
+    for column in plan.experiment.columns:
+        for row in plan.experiment.trainings:
+            number = results.numbers[row, column.title]
+            figure = plan.experiment.published.get(row, {}).get(column.title, "")
+            values = ["", "", "", ""]
+            if number is not None:
+                values = [
+                    f"{number.value:.4f}",
+                    f"{number.low:.4f}",
+                    f"{number.high:.4f}",
+                    " ".join(f"{e:.4f}" for e in number.each),
+                ]
+            writer.writerow([row, column.title, column.test, *values, figure])
+    return text.getvalue()
+
+
+def losses(cell: TrainCell) -> list[dict[str, float]]:
+    """The figures of each epoch of a training, by name; none where there are none."""
+    path: Path = cell.folder / "log" / "metrics.csv"
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
+
+
+def cost_rows(plan: ExperimentPlan) -> list[list[str]]:
+    """What each cell took: wall seconds, CPU seconds and hours; and in all."""
+    rows, total = [["", "wall s", "CPU s", "CPU h", ""]], 0.0
+    for cell in plan.cells:
+        if not (record := cell.record):
+            rows.append([cell.name, "–", "–", "–", "not made"])
+            continue
+        total += record["cpu_s"]
+        note = "the last of several runs" if record["resumed"] else ""
+        rows.append([cell.name, f"{record['wall_s']:.1f}", f"{record['cpu_s']:.1f}", f"{record['cpu_s'] / 3600:.3f}", note])
+    return [*rows, ["all", "", f"{total:.1f}", f"{total / 3600:.3f}", ""]]

@@ -1,0 +1,141 @@
+"""Numbers over repeats of a training: the mean over models that differ in their seed alone, judged on the same frames.
+
+The interval is that of a bootstrap over both: models are drawn with replacement, and so are frames, the same ones for all models.
+With two or three models it says little of how models differ: beside it stand the least and the greatest model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cabinpose.core import intersection_over_union, whole_person
+from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_sums
+from cabinpose.evaluate.samples import Samples
+
+Array = NDArray[np.float64]
+Measure = Literal["pckh", "auc", "pck", "mean_error", "iou", "person_iou"]
+"""Of joints: shares within a part of the head size, its area from 0 to 0.5, shares within a distance (%), mean error of those
+found; of body parts: mean intersection over union, that of people as a whole (%)."""
+
+
+class ModelErrors(NamedTuple):
+    """What a model's numbers are made of, over F frames: S people with J joints, or pixels by C true and found classes.
+
+    frames: F · at: (S,) the frame of each person · error_px, error_m: (S, J) distance to the truth, infinite where the joint was
+    not found, NaN where it does not count · head_px, head_m: (S,) head size · confusion: (F, C, C) or (0, 0, 0).
+    """
+
+    frames: int
+    at: NDArray[np.int64]
+    error_px: Array
+    error_m: Array
+    head_px: Array
+    head_m: Array
+    confusion: NDArray[np.int64]
+
+
+class OverRepeats(NamedTuple):
+    """A number over repeats: the mean, its 95 % interval, and the number of each repeat."""
+
+    value: float
+    low: float
+    high: float
+    each: tuple[float, ...]
+
+
+def errors_of(samples: Samples) -> ModelErrors:
+    """The errors of the samples of one model."""
+    spaces = [np.where(s.found, s.error.astype(np.float64), np.inf) for s in (samples.px, samples.m)]
+    px, m = (np.where(samples.counts & s.known, error, np.nan) for s, error in zip((samples.px, samples.m), spaces, strict=True))
+    heads = (samples.px.head.astype(np.float64), samples.m.head.astype(np.float64))
+    return ModelErrors(len(samples.frames), samples.at, px, m, *heads, np.zeros((0, 0, 0), np.int64))
+
+
+def joined_errors(parts: Sequence[ModelErrors]) -> ModelErrors:
+    """The errors on several datasets, one after the other, as those on one."""
+    firsts = np.cumsum([0, *(part.frames for part in parts)])
+    at = np.concatenate([part.at + first for part, first in zip(parts, firsts, strict=False)])
+    rest = zip(*(part[2:] for part in parts), strict=True)
+    return ModelErrors(int(firsts[-1]), at, *(np.concatenate(arrays) for arrays in rest))
+
+
+def over_repeats(
+    runs: Sequence[ModelErrors], measure: Measure, *, space: str = "2d", threshold: float = 0.5,
+    joints: Sequence[int] | None = None, resamples: int = 1000, seed: int = 0,
+) -> OverRepeats:  # fmt: skip
+    """A number over the repeats of a training.
+
+    Parameters
+    ----------
+    runs
+        The errors of each model on the same frames.
+    measure
+        What is measured; see `Measure`.
+    space
+        "2d" (px) or "3d" (m); of joints.
+    threshold
+        Of pckh in head sizes, of pck in px or m.
+    joints
+        Columns of the joints that count; default: all.
+    resamples, seed
+        Of the bootstrap; 0: no interval.
+    """
+    rng = np.random.Generator(np.random.Philox(key=seed))
+    weights = frame_weights(runs[0].frames, resamples, rng=rng)
+    drawn = np.stack([_resampled(run, measure, weights, space, threshold, joints) for run in runs])  # (R, 1 + B)
+    chosen = rng.integers(len(runs), size=(resamples, len(runs)))
+    means = drawn[chosen, 1 + np.arange(resamples)[:, None]].mean(axis=1)
+    low, high = interval(means[:, None])
+    each = tuple(drawn[:, 0].tolist())
+    return OverRepeats(float(np.mean(each)), float(low[0]), float(high[0]), each)
+
+
+def accuracy_curve(run: ModelErrors, thresholds: Array, space: str, joints: Sequence[int] | None = None) -> Array:
+    """(T,) per cent of the joints that count within each of some thresholds (head sizes)."""
+    errors, head = _joint_errors(run, space, joints)
+    shares = errors / head
+    known = np.sort(shares[np.isfinite(shares)])
+    total = max(int((~np.isnan(errors) & np.isfinite(head)).sum()), 1)
+    return np.asarray(100.0 * np.searchsorted(known, thresholds, side="right") / total)
+
+
+def _joint_errors(run: ModelErrors, space: str, joints: Sequence[int] | None) -> tuple[Array, Array]:
+    """(S, J) errors of some joints in a space, and (S, 1) head sizes."""
+    errors, head = (run.error_px, run.head_px) if space == "2d" else (run.error_m, run.head_m)
+    return (errors if joints is None else errors[:, list(joints)]), head[:, None]
+
+
+def _resampled(
+    run: ModelErrors, measure: Measure, weights: NDArray[np.uint8], space: str, threshold: float, joints: Sequence[int] | None
+) -> Array:
+    """(1 + B,) the number over all frames, then over those of each resample."""
+    if measure in ("iou", "person_iou"):
+        classes = run.confusion.shape[-1]
+        by_frame = run.confusion.reshape(run.frames, -1).astype(np.float64)
+        totals = np.concatenate((by_frame.sum(axis=0)[None], weighted_sums(weights, by_frame))).reshape(-1, classes, classes)
+        if measure == "person_iou":
+            return np.asarray(100.0 * intersection_over_union(whole_person(totals))[:, 1])
+        return np.asarray(100.0 * np.nanmean(intersection_over_union(totals)[:, 1:], axis=1))
+    errors, head = _joint_errors(run, space, joints)
+    counts = ~np.isnan(errors)
+    if measure in ("pckh", "auc"):
+        counts &= np.isfinite(head)
+        shares = errors / head
+        top = shares <= threshold if measure == "pckh" else np.clip(1.0 - shares / 0.5, 0.0, None)
+    elif measure == "pck":
+        top = errors <= np.float32(threshold)
+    else:
+        counts &= np.isfinite(errors)
+        top = np.where(counts, errors, 0.0)
+    unit = (1.0 if space == "2d" else 100.0) if measure == "mean_error" else 100.0
+    sums = []
+    for values in (np.where(counts, top, 0.0), counts):
+        by_frame = np.zeros((run.frames, 1))
+        np.add.at(by_frame[:, 0], run.at, values.sum(axis=1))
+        sums.append(np.concatenate((by_frame.sum(axis=0), weighted_sums(weights, by_frame)[:, 0])))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(unit * sums[0] / sums[1])

@@ -1,0 +1,78 @@
+"""Numbers over repeats: the report's own for one, and intervals against their closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from cabinpose.evaluate.offline import samples_of
+from cabinpose.evaluate.options import EvaluationOptions
+from cabinpose.evaluate.repeats import ModelErrors, accuracy_curve, errors_of, joined_errors, over_repeats
+from cabinpose.evaluate.report import make_report
+from cabinpose.store.predictions import Predictions
+
+OPTIONS = EvaluationOptions(resamples=0)
+
+
+@pytest.mark.parametrize("space", ["2d", "3d"])
+def test_one_repeat_has_the_numbers_of_the_report(space: str, dataset: xr.Dataset, predictions: Predictions) -> None:
+    samples, _ = samples_of(dataset, predictions, OPTIONS)
+    report, errors = make_report(samples, OPTIONS, "m", "d"), errors_of(samples)
+    mean = "mean error" if space == "2d" else "MPJPE"
+    rows = [("pckh", 0.5, "PCKh", 0.5), ("auc", 0.5, "AUC of PCKh", None), ("mean_error", 1.0, mean, None)]
+    rows += [("pck", 26.0, "PCK", 26.0)] if space == "2d" else [("pck", 0.10, "PCK", 10.0)]
+    for measure, threshold, name, at in rows:
+        for joints in ("All", "Wrist"):
+            members = report.joint_sets[joints]
+            columns = [samples.skeleton.joints.index(joint) for joint in members]
+            found = over_repeats([errors], measure, space=space, threshold=threshold, joints=columns, resamples=0)  # type: ignore[arg-type]
+            theirs = report.value(name, space, joints, at)
+            assert theirs is not None
+            assert found.value == pytest.approx(theirs.value, abs=1e-4), (measure, joints)
+    line = report.curves[space]["pckh"]["lines"]["All"]
+    grid = np.array(report.curves[space]["pckh"]["grid"])
+    assert accuracy_curve(errors, grid, space) == pytest.approx(np.array(line), abs=0.01)
+
+
+def hits(share: float, frames: int, *, rng: np.random.Generator) -> ModelErrors:
+    """A joint a frame, found at once or not at all."""
+    error = np.where(rng.random((frames, 1)) < share, 0.0, np.inf)
+    head = np.ones(frames)
+    return ModelErrors(frames, np.arange(frames), error, error, head, head, np.zeros((0, 0, 0), np.int64))
+
+
+def test_the_interval_over_frames_is_the_binomial_one() -> None:
+    run = hits(0.3, 2000, rng=np.random.Generator(np.random.Philox(1)))
+    found = over_repeats([run], "pckh", resamples=2000)
+    share = found.value / 100
+    half = 1.96 * 100 * np.sqrt(share * (1 - share) / 2000)
+    assert (found.high - found.low) / 2 == pytest.approx(half, rel=0.1)
+
+
+def test_the_interval_over_repeats_is_that_of_their_mean() -> None:
+    """Models that differ by far more than frames do: the mean of R draws with replacement has the variance of the R over R."""
+    rng = np.random.Generator(np.random.Philox(2))
+    runs = [hits(share, 20_000, rng=rng) for share in np.linspace(0.2, 0.8, 12)]
+    found = over_repeats(runs, "pckh", resamples=2000)
+    spread = np.std(found.each) / np.sqrt(len(runs))
+    assert found.value == pytest.approx(np.mean(found.each))
+    assert (found.high - found.low) / 2 == pytest.approx(1.96 * spread, rel=0.1)
+
+
+def test_parts_are_pooled_over_frames() -> None:
+    confusion = np.array([[[90, 0, 0], [0, 5, 5], [0, 0, 10]], [[80, 10, 0], [0, 10, 0], [10, 0, 0]]])
+    none = np.zeros(0)
+    run = ModelErrors(2, np.zeros(0, np.int64), np.zeros((0, 1)), np.zeros((0, 1)), none, none, confusion)
+    found = over_repeats([run], "iou", resamples=0)
+    assert found.value == pytest.approx(100 * (15 / 30 + 10 / 25) / 2)  # 15 of 20 true and 25 found; 10 of 20 and 15
+    assert over_repeats([run], "person_iou", resamples=0).value == pytest.approx(100 * 30 / 50)
+
+
+def test_datasets_follow_each_other() -> None:
+    rng = np.random.Generator(np.random.Philox(3))
+    one, two = hits(0.5, 100, rng=rng), hits(0.9, 300, rng=rng)
+    both = joined_errors([one, two])
+    each = [over_repeats([run], "pckh", resamples=0).value for run in (one, two, both)]
+    assert each[2] == pytest.approx((100 * each[0] + 300 * each[1]) / 400)
+    assert both.at.tolist() == list(range(400))

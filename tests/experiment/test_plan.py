@@ -1,0 +1,229 @@
+"""What is read of a file, what is refused before anything runs, and the numbers of frames of the thesis' series."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from cabinpose.app.experiment.config import (
+    Curve,
+    Data,
+    Experiment,
+    FrameSelection,
+    JudgedFrames,
+    RunScale,
+    TableColumn,
+    Training,
+    load,
+    merged,
+    packaged,
+)
+from cabinpose.app.experiment.frames import wanted_frames
+from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
+from cabinpose.app.experiment.results import frames_of
+from cabinpose.core.errors import ConfigError
+from cabinpose.store import validated
+
+Write = Callable[..., Path]
+Run = Callable[..., Any]
+# Frames learnt from, and tested, as the thesis' tables have them (RE 4.2.2, SE 5.3.2, FM 7.2), read there and not in our files.
+TRAINED = {
+    "re1": {"M1": 6322, "M2": 94321, "M3": 6322, "M4": 94321 + 6322, "M5": 17991, "M6": 6322, "M7": 17991 + 6322},
+    "se1": {
+        "R1": 900, "R2": 3600, "R3": 5400, "R4": 9900, "R5": 1800, "R6": 7200, "R7": 10800, "R8": 19800, "R9": 6946, "R10": 32146,
+    },
+    "fm": {"FT1": 76886, "FT2": 6946, "FT3": 83832, "FT31": 109032, "FT32": 146832, "FT33": 172032},
+}  # fmt: skip
+TESTED = {"re1": {"S5": 1730}, "se1": {"S3": 2636}, "fm": {"FM1": 8763, "FM2": 2644, "FM3": 11407}}
+VALIDATED = {"re1": {"M1": 702}, "se1": {"R10": 900}, "fm": {"FT1": 3430, "FT2": 892, "FT3": 4322}}
+
+
+def planned(name: str, scale: str, out: Path) -> ExperimentPlan:
+    return make_plan(load(packaged()[name]), scale, out, {})
+
+
+@pytest.mark.parametrize("name", TRAINED)
+def test_the_series_have_the_thesis_numbers_of_frames(name: str, tmp_path: Path) -> None:
+    plan = planned(name, "paper", tmp_path)
+    assert {row: cells[0].frame_count for row, cells in plan.trained.items()} == TRAINED[name]
+    assert {test: cells[0].frame_count for (_, test), cells in plan.tested.items()} == TESTED[name]
+    validated = {row: sum(source.frames for source in plan.trained[row][0].validation) for row in VALIDATED[name]}
+    assert validated == VALIDATED[name]
+
+
+def test_fine_tuning_has_ten_of_a_hundred_epochs(tmp_path: Path) -> None:
+    """The thesis: 180 epochs, and 20."""
+    cell = planned("re1", "paper", tmp_path).trained["M3"][0]
+    assert cell.begins is not None
+    assert (cell.begins.recipe["epochs"], cell.recipe["epochs"], cell.begins.frame_count) == (180, 20, 94321)
+    assert cell.begins.key in cell.needs
+
+
+@pytest.mark.parametrize("name", [*packaged()])
+@pytest.mark.parametrize("scale", ["small", "paper", "0.37"])
+def test_every_file_has_the_frames_that_it_draws(name: str, scale: str, tmp_path: Path) -> None:
+    plan = planned(name, scale, tmp_path)
+    for data, wanted in wanted_frames(plan.experiment, plan.scale).items():
+        for subjects, count in wanted.items():
+            there = [p for p in plan.data[data] if not subjects or {who for who, _ in p.people} & set(subjects)]
+            assert sum(piece.frames for piece in there) >= count
+    keys: set[str] = set()
+    for cell in plan.cells:
+        assert keys.issuperset(cell.needs), f"{cell.name} comes before what it needs"
+        keys.add(cell.key)
+
+
+def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
+    for name in packaged():
+        cells = [cells[0] for cells in planned(name, "small", tmp_path).trained.values()]
+        samples = set()
+        for cell in cells:
+            stages = [cell, *filter(None, [cell.begins])]
+            samples.add(sum(s.recipe["epochs"] * s.recipe["epoch_steps"] * s.recipe["batch"] for s in stages))
+        assert len(samples) == 1
+        assert samples.pop() >= 20_000
+
+
+def test_a_scale_keeps_numbers_above_the_least() -> None:
+    scale = RunScale(frames=0.1, least=200)
+    assert [scale.count(frames) for frames in (6946, 900, 150)] == [695, 200, 150]
+    assert scale.count(20, scaled=False) == 20
+
+
+def test_one_mapping_over_another() -> None:
+    assert merged({"a": {"b": 1, "c": 2}, "d": [1]}, {"a": {"b": None, "e": 3}, "d": [2]}) == {"a": {"c": 2, "e": 3}, "d": [2]}
+
+
+def test_a_file_builds_on_another(write: Write, tmp_path: Path) -> None:
+    write()
+    (tmp_path / "more.yaml").write_text("extends: small\ntitle: More\nscales: {paper: {repeats: 3}}\n")
+    more = load(tmp_path / "more.yaml")
+    assert (more.title, more.scales["paper"].repeats, more.scales["paper"].steps) == ("More", 3, 4)
+    (tmp_path / "round.yaml").write_text("extends: round\n")
+    with pytest.raises(ConfigError, match="too many files"):
+        load(tmp_path / "round.yaml")
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
+    "a person of the test is learnt from": (
+        {"tests": {"T": {"frames": [{"data": "real", "subject": ["P1"]}]}}},
+        "test T and training R1 share the subject P1", "may_share: [subject] in the test",
+    ),
+    "a person of the test validates": (
+        {"tests": {"T": {"frames": [{"data": "real", "subject": ["P2"]}]}}},
+        "test T and training R1 share the subject P2", "may_share: [subject]",
+    ),
+    "the car of the test is learnt from": (
+        {"tests": {"T": {"may_share": []}}}, "test T and training R1 share the car sedan", "may_share: [car]",
+    ),
+    "people who are learnt from validate": (
+        {"trainings": {"R1": {"validation": [{"data": "real", "subject": ["P1"], "frames": 1}]}}},
+        "training R1 and its validation share the subject P1", "may_share: [subject] in the training",
+    ),
+    "the first training of a tuned one is held to it as well": (
+        {"trainings": {"R1": {"train": [{"data": "real", "subject": ["P3"]}], "fine_tune": {
+            "train": [{"data": "real", "subject": ["P1"]}], "validation": [{"data": "real", "subject": ["P2"]}]}}}},
+        "test T and training R1 share the subject P3", "may_share: [subject]",
+    ),
+    "too few frames": (
+        {"trainings": {"R1": {"train": [{"data": "real", "subject": ["P1"], "frames": 5}]}}},
+        "training R1: 5 frames of real are asked for, and the selection has 4", "ask for at most 4",
+    ),
+    "an unknown dataset": (
+        {"trainings": {"R1": {"train": [{"data": "reel"}]}}}, "unknown dataset 'reel'", "did you mean real?",
+    ),
+    "an unknown subject": (
+        {"tests": {"T": {"frames": [{"data": "real", "subject": ["P4"]}]}}}, "test T: unknown subject 'P4'", "known: P1, P2, P3",
+    ),
+    "an unknown test": ({"columns": [{"title": "A", "test": "U"}], "published": None}, "unknown test 'U'", "known: T"),
+    "an unknown column": ({"published": {"R1": {"PCK": 1.0}}}, "unknown column 'PCK'", "PCKh@0.5"),
+    "an unknown training": ({"published": {"R9": {"PCKh@0.5": 1.0}}}, "unknown training 'R9'", "known: R1"),
+    "an unknown key": ({"trainings": {"R1": {"frames": 3}}}, "trainings.R1.frames: unknown key", ""),
+    "a recipe that says what a scale says": ({"recipe": {"epochs": 3}}, "recipe.epochs: a scale says it", "in `scales`"),
+    "an unknown key of the recipe": ({"recipe": {"epoch": 3}}, "recipe of R1: epoch: unknown key", ""),
+    "scenes that cannot be": (
+        {"data": {"real": {"synth": {"scene": {"car": ["sedan"]}}}}}, "data.real/P1.synth: scene", "cars",
+    ),
+    "a column of no joint": (
+        {"columns": [{"title": "A", "test": "T", "joints": "Writs"}], "published": None},
+        "unknown set of joints 'Writs'", "Wrist",
+    ),
+    "a column of parts where joints are found": (
+        {"columns": [{"title": "A", "test": "T", "measure": "iou"}], "published": None},
+        "column A: iou is not measured of joints",
+        "iou or person_iou of parts",
+    ),
+    "two sources of a dataset": ({"data": {"real": {"folder": "x"}}}, "a folder or a stand-in", "one of folder and synth"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_it_is_refused_before_anything_runs(what: str, write: Write, run: Run, tmp_path: Path) -> None:
+    changes, error, hint = REFUSED[what]
+    done = run("experiment", "run", write(changes), "--scale", "paper", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert error in done.err
+    assert hint in done.err.partition("hint: ")[2]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        ("se9", "unknown experiment 'se9'"),
+        ("se1 --scale tiny", "unknown scale 'tiny'"),
+        ("se1 --scale -1", "-1 is no scale"),
+        ("se1 --only R11", "unknown cell 'R11'"),
+        ("se1 --data reel=x", "unknown dataset 'reel'"),
+        ("se1 --data real", "--data real names no folder"),
+        ("se1 --workers 0", "cannot work with 0 workers"),
+        ("se1 --workers 2 --scheduler tcp://x:1", "--workers are processes of this machine"),
+    ],
+)
+def test_words_that_name_nothing(words: str, error: str, run: Run, tmp_path: Path) -> None:
+    done = run("experiment", "run", *words.split(), "--out", tmp_path / "out")
+    assert (done.code, error in done.err) == (2, True), done.err
+
+
+def test_all_files_are_listed_and_shown(run: Run, tmp_path: Path) -> None:
+    told = run("experiment", "list")
+    assert told.code == 0
+    assert [line.split()[0] for line in told.out.splitlines()[1:]] == [*packaged()]
+    shown = run("experiment", "show", "se1", "--out", tmp_path)
+    assert shown.code == 0
+    assert "R10.3 on S3" in shown.out
+    assert "R5.1 is R1.1 at this scale" in shown.out
+    assert "CPU hours expected" in shown.out.splitlines()[-1]
+
+
+def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path) -> None:
+    second: dict[str, Any] = {
+        "R2": {"train": [{"data": "real", "subject": ["P1"], "frames": 3}], "validation": [{"data": "real", "subject": ["P2"]}]}
+    }
+    before = make_plan(load(write({"trainings": second})), "paper", tmp_path, {})
+    second["R2"]["train"][0] |= {"frames": 2}
+    after = make_plan(load(write({"trainings": second})), "paper", tmp_path, {})
+    assert {cell.name for cell in after.cells if cell.key not in {c.key for c in before.cells}} == {"R2", "R2 on T"}
+    third = make_plan(load(write({"recipe": {"learning_rate": 0.01}})), "paper", tmp_path, {})
+    assert {cell.name for cell in third.cells if cell.key not in {c.key for c in before.cells}} == {"R1", "R1 on T"}
+
+
+def test_the_page_has_a_file_of_ones_own_and_every_key() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "experiments.md").read_text()
+    block = page.partition("```yaml\n")[2].partition("```")[0]
+    experiment = validated(Experiment, yaml.safe_load(block), None, hint="")
+    assert experiment.trainings["tuned"].fine_tune is not None
+    for keys in (Experiment, RunScale, Data, Training, JudgedFrames, TableColumn, Curve, FrameSelection):
+        for name in keys.model_fields:
+            assert f"`{name}`" in page or f"`{name}:" in page or f", `{name}" in page, f"{keys.__name__}.{name}"
+
+
+def test_only_what_is_named_and_what_it_needs(tmp_path: Path) -> None:
+    plan = planned("se1", "small", tmp_path)
+    assert [cell.name for cell in plan.chosen(["R1.2"])] == ["data real/P1", "data real/P2", "data real/P3", "R1.2", "R1.2 on S3"]
+    assert [cell.name for cell in plan.chosen(["synthetic"])] == ["data synthetic"]
+    assert frames_of(plan.trained["R10"][0], "synthetic") == 2520

@@ -1,0 +1,173 @@
+"""A small experiment from end to end, again, changed, and on two kinds of workers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from distributed import LocalCluster
+
+from cabinpose.app.experiment.cells import ExperimentCell, _sides
+from cabinpose.app.experiment.config import load
+from cabinpose.app.experiment.plan import make_plan
+from cabinpose.app.experiment.schedule import make_cells
+from cabinpose.app.training import stored_frames
+from cabinpose.core.errors import ConfigError
+from cabinpose.estimate import TrainConfig, frame_spec
+from cabinpose.store import open_dataset
+
+Write = Callable[..., Path]
+Run = Callable[..., Any]
+
+
+def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
+    """Made once; a second run makes nothing; a row more makes its own cells; the page is made again from what is there."""
+    words = ("--scale", "paper", "--out", tmp_path / "out", "--workers", 1, "--resamples", 50, "--json")
+    first = run("experiment", "run", write(), *words)
+    assert first.code == 0, first.err
+    told = json.loads(first.out)
+    assert (told["cells"], told["made"]) == (5, 5)  # three people, a training, a test
+    page = Path(told["page"])
+    text = page.read_text()
+    assert "real is a stand-in, generated, for recordings of three people" in text
+    assert "published 13.47" in text
+    assert all(f"<title>{name}</title>" in text for name in ("R1", "Head", "Wrist"))  # lines of the charts
+    assert {p.name for p in page.parent.iterdir()} == {
+        "index.html", "table.md", "table.csv", "report.json", "experiment.json", "accuracy-T.png",
+    }  # fmt: skip
+    numbers = json.loads((page.parent / "report.json").read_text())["numbers"]
+    assert 0.0 <= numbers["R1: PCKh@0.5"]["value"] <= 100.0
+    assert "13.47" in (page.parent / "table.md").read_text()
+    records = {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")}
+    assert len(records) == 5
+
+    stamp = page.stat().st_mtime_ns
+    again = run("experiment", "run", write(), *words)
+    assert json.loads(again.out)["made"] == 0
+    assert page.stat().st_mtime_ns == stamp
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")} == records
+
+    last = next((tmp_path / "out" / "trained").glob("*/last.ckpt"))
+    model = last.with_name("model.onnx")
+    weights, stamp = model.read_bytes(), last.stat().st_mtime_ns
+    last.with_name("cell.json").unlink()  # as a run that was killed before its end
+    resumed = run("experiment", "run", write(), *words)
+    assert json.loads(resumed.out)["made"] == 1
+    assert json.loads(last.with_name("cell.json").read_text())["resumed"]
+    assert (model.read_bytes(), last.stat().st_mtime_ns) == (weights, stamp)
+
+    page.unlink()
+    remade = run("experiment", "report", page.parent, "--resamples", 50)
+    assert remade.code == 0, remade.err
+    assert "published 13.47" in page.read_text()
+
+
+def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_path: Path) -> None:
+    """The user's folder in place of the stand-in shows who is in it: whoever is tested must not be learnt from."""
+    plan = make_plan(load(write()), "paper", tmp_path / "out", {})
+    make_cells(plan.made[:1], 1, lambda *_: None)
+    folder = plan.made[0].piece.folder  # of P1 alone
+    everybody: dict[str, Any] = {"R1": {"train": [{"data": "real"}], "validation": [{"data": "real"}], "may_share": ["subject"]}}
+    tests: dict[str, Any] = {"T": {"frames": [{"data": "real"}], "may_share": ["car"]}}
+    file = write({"trainings": everybody, "tests": tests})
+    words = ("--scale", "paper", "--out", tmp_path / "more", "--data", f"real={folder}")
+    done = run("experiment", "run", file, *words)
+    assert (done.code, "share the subject P1" in done.err) == (2, True), done.err
+    tests["T"]["may_share"].append("subject")
+    everybody["R1"]["validation"][0]["frames"] = 1
+    done = run("experiment", "run", write({"trainings": everybody, "tests": tests}), *words)
+    assert (done.code, "share the frame" in done.err) == (2, True), done.err
+    assert not list((tmp_path / "more").rglob("last.ckpt"))
+
+
+def test_rooms_and_cars_are_mixed_and_so_are_kinds_of_depth(write: Write, tmp_path: Path) -> None:
+    """A person who stands is taken for the driver, and the depth of a part may be another image than that of the others."""
+    room = {"scene": {"kind": "room", "rooms": 1}, "people": {"subjects": [], "random": {"count": 2}},
+            "camera": {"sensor": "kinect_v1", "views": {"room": 1.0}}, "noise": {"kind": "structured_light"}}  # fmt: skip
+    parts = [
+        {"data": "real", "subject": ["P1"], "frames": 2, "depth": "depth_clean"},
+        {"data": "rooms", "frames": 3, "places": {"standing": "driver"}},
+    ]
+    file = write({
+        "recipe": {"settings": {"max_depth_m": 5.0}}, "data": {"rooms": {"synth": room, "frames": 3}},
+        "trainings": {"R1": {"train": parts}},
+    })  # fmt: skip
+    plan = make_plan(load(file), "paper", tmp_path / "out", {})
+    make_cells(plan.made, 1, lambda *_: None)
+    cell = plan.trained["R1"][0]
+    learnt, judged = cell.drawn()
+    sides = (_sides(cell.train, learnt), _sides(cell.validation, judged))
+    assert {name: part.sizes["frame"] for name, part in sides[0].items()} == {"real/P1": 2, "rooms": 3}
+    car, rooms = sides[0].values()
+    source = open_dataset(cell.train[0].pieces[0].folder).isel(frame=learnt[0][0][1])
+    np.testing.assert_array_equal(car["depth"].values, source["depth_clean"].values)
+    assert not np.array_equal(source["depth"].values, source["depth_clean"].values)
+    assert rooms["person"].values.tolist() == ["driver"]
+    training, _ = stored_frames(sides, frame_spec(TrainConfig.model_validate(cell.recipe)))
+    frames = [training[i] for i in range(5)]
+    assert all(frame.present.tolist() == [True] for frame in frames)
+    far = [float(frame.joints[0, :, 2].mean()) for frame in frames]
+    assert max(far[:2]) < 1.5 < min(far[2:])  # m: a car's driver, somebody across a room
+
+
+def test_draws_are_the_same_nested_and_apart(write: Write, tmp_path: Path) -> None:
+    plan = make_plan(load(write()), "paper", tmp_path / "out", {})
+    make_cells(plan.made[:1], 1, lambda *_: None)
+    folder = plan.made[0].piece.folder
+
+    def drawn(learnt: int, judged: int) -> list[list[int]]:
+        rows = {"R1": {"train": [{"data": "real", "frames": learnt}], "validation": [{"data": "real", "frames": judged}],
+                       "may_share": ["subject"]}}  # fmt: skip
+        file = write({"trainings": rows, "tests": {"T": {"frames": [{"data": "real"}], "may_share": ["car", "subject"]}}})
+        cell = make_plan(load(file), "paper", tmp_path / "out", {"real": folder}).trained["R1"][0]
+        return [[int(i) for each in side for _, positions in each for i in positions] for side in cell.drawn()]
+
+    assert open_dataset(folder).sizes["frame"] == 4
+    few, more = drawn(1, 1), drawn(3, 1)
+    assert set(few[0]) < set(more[0])
+    assert few[1] == more[1]
+    assert sorted(more[0] + more[1]) == [0, 1, 2, 3]
+    with pytest.raises(ConfigError, match="4 frames of real are asked for, and the selection has 3"):
+        drawn(4, 1)
+
+
+@dataclass(frozen=True)
+class Note(ExperimentCell):
+    """A cell that notes which of those that it needs were there."""
+
+    before: tuple[Path, ...] = ()
+
+    @property
+    def frame_count(self) -> int:
+        return 0
+
+    def _made(self) -> dict[str, Any]:
+        return {"there": [path.exists() for path in self.before]}
+
+
+def test_a_cluster_makes_each_cell_after_those_that_it_needs(tmp_path: Path) -> None:
+    names = ["a", "b", "c", "d"]
+    needs = {"a": (), "b": (), "c": ("a", "b"), "d": ("c",)}
+    cells = [Note(n, n, tmp_path / n, needs[n], 0.0, tuple(tmp_path / other / "cell.json" for other in needs[n])) for n in names]
+    made: list[str] = []
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None,
+        silence_logs="ERROR",
+    ) as cluster:  # fmt: skip
+        make_cells(cells, cluster.scheduler_address, lambda cell, _: made.append(cell.name))
+    assert sorted(made) == names
+    assert made.index("c") > max(made.index("a"), made.index("b"))
+    assert all(all(cell.record["there"]) for cell in cells)
+    make_cells(cells, 1, lambda cell, _: made.append(cell.name))
+    assert len(made) == 4
+
+
+@pytest.mark.slow
+def test_no_scheduler(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no Dask scheduler answers"):
+        make_cells([Note("a", "a", tmp_path / "a", (), 0.0)], "tcp://127.0.0.1:1", lambda *_: None)
