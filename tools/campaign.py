@@ -393,6 +393,8 @@ def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
     if row.top_reflects_below is not None:
         top = dataset["reflectance"].sel(person="driver", worn="top").values
         dataset = dataset.isel(frame=np.flatnonzero(top < row.top_reflects_below))
+        if not dataset.sizes["frame"]:
+            return {"frames": 0.0}
     (model,) = opened_models([str(path)], dataset)
     if isinstance(model, Segmenter):
         return {"IoU": evaluate_parts(dataset, model, resamples=0).value("IoU"), "frames": float(dataset.sizes["frame"])}
