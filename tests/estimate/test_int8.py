@@ -34,7 +34,7 @@ def test_it_is_the_same_model_with_nearly_the_same_answers(mirrored: dict[str, P
     assert said[0] == said[1]
     one, other = (predict_dataset(small.dataset(8), load_model(path)) for path in mirrored.values())
     apart = np.abs(one.joints_2d - other.joints_2d)
-    assert 0 < np.nanmax(apart) < 1.0  # px of 64 x 48
+    assert 0 < np.nanmedian(apart) < 0.5  # px of 64 x 48
 
 
 def test_every_convolution_but_the_precise_ones_has_eight_bits_of_its_own(mirrored: dict[str, Path]) -> None:

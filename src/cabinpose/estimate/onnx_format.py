@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -46,14 +47,15 @@ class OnnxFormat(ModelFormat):
         -------
         float
             The greatest difference from what it was made of: of the answers from torch's, as `export_onnx` has it, and in m of
-            the joints of a whole graph from the predictor's. What eight bits lose is not in it.
+            the joints of a whole graph from the predictor's. What eight bits lose is not in it, and NaN where they are all there
+            is.
         """
         from cabinpose.estimate.export import export_onnx, write_copy  # noqa: PLC0415 - torch
         from cabinpose.estimate.int8 import write_int8  # noqa: PLC0415 - ONNX Runtime
         from cabinpose.estimate.onnx_model import DRIVE_SIDE, OnnxModel, packaged_models  # noqa: PLC0415 - ONNX Runtime
         from cabinpose.estimate.whole_graph import write_whole  # noqa: PLC0415 - torch
 
-        source, difference = packaged_models().get(str(checkpoint), checkpoint), 0.0
+        source, difference = packaged_models().get(str(checkpoint), checkpoint), math.nan
         if out.exists() and not overwrite:
             raise ModelError(f"{out} exists", hint="--overwrite replaces it")
         if source.suffix == ".onnx":
@@ -77,7 +79,8 @@ class OnnxFormat(ModelFormat):
                 write_int8(OnnxModel(source, threads=1), calibrating, last)
                 source = last
             if options.whole is not None:
-                difference = max(difference, write_whole(OnnxModel(source, threads=1), out, options.whole))
+                apart = write_whole(OnnxModel(source, threads=1), out, options.whole)
+                difference = apart if math.isnan(difference) else max(apart, difference)
         return difference
 
 

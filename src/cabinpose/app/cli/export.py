@@ -158,7 +158,10 @@ def _export_model(command: ExportModel) -> None:
     with progress() as report:
         report.phase("exporting and comparing")
         difference = command.form.write(command.checkpoint, command.out, command.settings, overwrite=command.overwrite)
+    compared = difference == difference  # NaN where a model has only lost bits
     if command.as_json:
-        print_json({"out": str(command.out), "format": command.format, "difference": difference})
-    else:
+        print_json({"out": str(command.out), "format": command.format, "difference": difference if compared else None})
+    elif compared:
         print(f"{command.out}: differs from what it was made of by at most {difference:.1e}")
+    else:
+        print(f"{command.out}: `cabinpose evaluate` with both models tells what eight bits lose")
