@@ -162,11 +162,12 @@ class Deadline(Callback):
         self._began = time.monotonic()
 
     def on_train_batch_end(self, trainer: Any, _module: Any, _outputs: Any, _batch: Any, index: int) -> None:
-        """Look once an epoch whether it will end in time; a tenth is added for validation."""
-        if index + 1 == min(FEW, trainer.num_training_batches):
-            whole_s = 1.1 * (time.monotonic() - self._began) / (index + 1) * trainer.num_training_batches
-            if whole_s > self.left_s + (time.monotonic() - self._began):
-                raise OutOfTimeError(f"an epoch takes {whole_s / 60:.1f} minutes, and {max(self.left_s, 0) / 60:.1f} are left")
+        """Look whether the time is over, and once an epoch whether it will end in time; a tenth is added for validation."""
+        spent_s = time.monotonic() - self._began
+        whole_s = 1.1 * spent_s / (index + 1) * trainer.num_training_batches
+        known = index + 1 == min(FEW, trainer.num_training_batches)
+        if self.left_s < 0 or (known and whole_s > self.left_s + spent_s):
+            raise OutOfTimeError(f"an epoch takes {whole_s / 60:.1f} minutes, and {max(self.left_s, 0) / 60:.1f} are left")
 
 
 class Costs(Callback):

@@ -81,7 +81,7 @@ def write_int8(model: OnnxModel, dataset: xr.Dataset, out: Path, *, frames: int 
     halved = is_halved(network)
     widen(network)
     _unshare(network.graph)
-    precise = re.compile("|".join(rf"/{name}\b" for name in model.method.precise) or "(?!)")
+    precise = re.compile("|".join(rf"/{name}(?:_\d+)?[./]" for name in model.method.precise) or "(?!)")
     kept = [node.name for node in network.graph.node if precise.search(node.name)]
     make_folder(out.parent)
     with whole_file(out, kind=ModelError) as partial, TemporaryDirectory() as folder, _quiet():
@@ -98,18 +98,28 @@ def write_int8(model: OnnxModel, dataset: xr.Dataset, out: Path, *, frames: int 
 
 
 def _unshare(graph: onnx.GraphProto) -> None:
-    """Give each convolution weights of its own: those that a mirrored model runs twice would share one scale of their bias."""
+    """Give each convolution weights of its own, which a mirrored model runs twice and the exporter hands on by Identity nodes.
+
+    Shared ones would have one scale of their bias for two inputs, and handed on ones would be taken for activations.
+    """
     arrays = {array.name: array for array in graph.initializer}
+    handed = {node.output[0]: node.input[0] for node in graph.node if node.op_type == "Identity" and node.input[0] in arrays}
     used: Counter[str] = Counter()
     for node in graph.node:
         if node.op_type == "Conv":
-            for i, name in enumerate(node.input):
+            for i, given in enumerate(node.input):
+                name = handed.get(given, given)
                 if name in arrays:
+                    node.input[i] = f"{name}.{used[name]}" if used[name] else name
                     if used[name]:
                         copy = graph.initializer.add()
                         copy.CopyFrom(arrays[name])
-                        copy.name = node.input[i] = f"{name}.{used[name]}"
+                        copy.name = node.input[i]
                     used[name] += 1
+    needed = {name for node in graph.node for name in node.input}
+    kept = [node for node in graph.node if node.op_type != "Identity" or node.output[0] not in handed or node.output[0] in needed]
+    del graph.node[:]
+    graph.node.extend(kept)
 
 
 @contextmanager

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
 
 from cabinpose.core import ConfigError, DriveSide, ModelError
+from cabinpose.estimate.settings import DepthUnit
 from cabinpose.store import open_dataset, read_mapping
 from cabinpose.store.convert import ModelFormat
-
-DepthUnit = Literal["m", "mm"]
 
 
 @dataclass(frozen=True, kw_only=True)

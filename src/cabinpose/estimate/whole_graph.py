@@ -22,9 +22,8 @@ from torch import Tensor, nn
 
 from cabinpose.core import Camera, ConfigError, FrameBatch, ModelError, make_folder, told_as, whole_file
 from cabinpose.estimate.joint_predictor import JointPredictor
-from cabinpose.estimate.onnx_format import DepthUnit
 from cabinpose.estimate.onnx_model import WHOLE, OnnxModel, cameras_of, open_session
-from cabinpose.estimate.settings import ViewSettings
+from cabinpose.estimate.settings import DepthUnit, ViewSettings
 
 TOLERANCE_M = 1e-4  # greatest difference between the graph and the predictor
 OUTPUTS = ("joints_3d", "joints_2d", "presence", "score")
