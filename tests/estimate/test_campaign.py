@@ -146,6 +146,7 @@ def _out_of_time(epoch: int) -> None:
         raise OutOfTimeError("for the test")
 
 
+@pytest.mark.filterwarnings("ignore:a frame in which tiny cannot see anybody")
 def test_better_weights_alone_are_shipped_with_their_card(tiny: Campaign) -> None:
     assert tiny.run(10.0)
     packaged, card = tiny.package / "tiny.onnx", tiny.recipes / "tiny-card.yaml"

@@ -105,6 +105,7 @@ def test_a_graph_that_answers_something_else_is_refused(tmp_path: Path, monkeypa
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*lens sees nothing")
 @pytest.mark.skipif("ONNXRUNTIME_ROOT" not in os.environ, reason="ONNXRUNTIME_ROOT names no release archive of ONNX Runtime")
 def test_the_example_in_cpp_gives_the_joints_of_the_predictor(whole: dict[str, Path], tmp_path: Path) -> None:
     program, camera = tmp_path / "joints", CAMERAS["of a lens"]
