@@ -86,10 +86,13 @@ class NetworkMethod(Method[S]):
         loss.
     reads_onnx
         Whether training may begin with an exported model, see `estimate.weights`: each layer keeps its name in the file.
+    precise
+        Layers of the network that stay in float32 where an export is in eight bits.
     """
 
     outputs: ClassVar[tuple[str, ...]]
     reads_onnx: ClassVar[bool] = False
+    precise: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def network(self, settings: S) -> nn.Module:

@@ -40,6 +40,7 @@ from cabinpose.estimate.methods import Method, NetworkMethod, method_of
 from cabinpose.store import in_ranges
 
 METADATA_KEY = "cabinpose"
+WHOLE = "cabinpose_whole"  # where a graph of `export onnx --whole` says what it is: JSON of name, persons, joints, unit, card
 DRIVE_SIDE = "drive_side"  # in the metadata
 TRAINED_ON = "trained_on"  # in the metadata, and in checkpoints: ranges of frames by the datasets' `frames_id`
 JOINT_DEFINITION = "joint_definition"  # in the metadata, and in checkpoints: how the joints lie that were learnt
@@ -122,6 +123,8 @@ class OnnxModel(TrainedModel):
         except Exception as error:  # ONNX Runtime's own errors share no base class
             raise ModelError(f"{path} cannot be read: {error}", hint="copy the file again, or export the model again") from error
         properties: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
+        if WHOLE in properties:
+            raise ModelError(f"{path} is a whole graph for other programs", hint="give the model that it was made of")
         if METADATA_KEY not in properties:
             raise ModelError(f"{path} is an ONNX file of another program", hint="export models with `cabinpose export`")
         super().__init__(path, properties[METADATA_KEY])

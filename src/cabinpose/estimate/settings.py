@@ -12,6 +12,7 @@ from cabinpose.estimate.inputs import InputView
 
 Probability = Annotated[float, Field(ge=0, le=1)]
 NotNegative = Annotated[float, Field(ge=0)]
+DepthUnit = Literal["m", "mm"]  # of a program's depth images: float32 metres, or uint16 millimetres
 _Shares = tuple[float, float, float]
 _FOCAL_PER_WIDTH = 139 / 352  # 103 deg across: all but 0.1 % of the joints that a Monstar sees, which 95.5 deg lose 6 % of
 _OLDER_FOCAL_PER_WIDTH = 160 / 352

@@ -62,7 +62,9 @@ class ExportRecording(_Export):
 class ExportModel(_Export):
     """Flags of formats of models."""
 
-    checkpoint: Annotated[Positional[Path], arg(metavar="CHECKPOINT", help="Checkpoint of `cabinpose train`.")]
+    checkpoint: Annotated[
+        Positional[Path], arg(metavar="CHECKPOINT", help="Checkpoint of `cabinpose train`; for --int8 and --whole a model, too.")
+    ]
     out: Path
     """File to write."""
 
@@ -154,9 +156,12 @@ def _export_model(command: ExportModel) -> None:
         raise ConfigError(f"{command.checkpoint} holds no network", hint="it is the model already: give it to --model")
     require("train")
     with progress() as report:
-        report.phase("exporting and comparing with torch")
+        report.phase("exporting and comparing")
         difference = command.form.write(command.checkpoint, command.out, command.settings, overwrite=command.overwrite)
+    compared = difference == difference  # NaN where a model has only lost bits
     if command.as_json:
-        print_json({"out": str(command.out), "format": command.format, "difference": difference})
+        print_json({"out": str(command.out), "format": command.format, "difference": difference if compared else None})
+    elif compared:
+        print(f"{command.out}: differs from what it was made of by at most {difference:.1e}")
     else:
-        print(f"{command.out}: differs from torch by at most {difference:.1e}")
+        print(f"{command.out}: `cabinpose evaluate` with both models tells what eight bits lose")

@@ -28,6 +28,7 @@ class CompactMethod(NetworkMethod[CompactConfig]):
     outputs = ("joints", "inside", "visible", "present", "spreads")
     room: ClassVar[Mapping[str, Any]] = MappingProxyType({"looks_px": []})
     reads_onnx = True
+    precise = ("votes", "looks", "present")
 
     def network(self, settings: CompactConfig) -> Compact:
         from cabinpose.estimate.compact.model import Compact  # noqa: PLC0415 - torch
