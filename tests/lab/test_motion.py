@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from cabinpose.app.lab.exercises import exercises, neutral_pose
-from cabinpose.app.lab.motion import PASS_M, KeyedMotion, Stage, _Course, _first, act, named_person
+from cabinpose.app.lab.motion import PASS_M, Key, KeyedMotion, Stage, _Course, _first, act, named_person
 from cabinpose.app.lab.suit import SEGMENT, true_segments
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import transform
@@ -47,6 +47,18 @@ def test_joints_are_those_of_the_posed_body(driving: KeyedMotion) -> None:
         assert joints[k] == pytest.approx(driving.body(float(at)).joints, abs=1e-12)
 
 
+def test_fingers_hold_the_rim_as_the_generators_do_and_open_on_the_way_to_the_next_key(driving: KeyedMotion) -> None:
+    fingers = driving.fingers
+    assert driving.keys[0] == "drive"
+    curl = fingers[0, :, 3:15].reshape(2, 4, 3)
+    assert (np.ptp(curl, axis=2) > 0.1).any(axis=1).all()  # joint after joint around the rim, not by the grip
+    held = driving.body(0.0)
+    assert np.array_equal(held.skin, driving.person.pose(driving.q[0], driving.root[0], fingers[0]).skin)
+    middle = 0.5 * (driving.leave_s[:-1] + driving.arrive_s[1:])
+    assert driving.fingers_at(middle) == pytest.approx(0.5 * (fingers[:-1] + fingers[1:]), abs=1e-12)
+    assert np.ptp(fingers, axis=0).max() > 0.3
+
+
 def test_a_driver_moves_smoothly_within_the_limits_of_the_joints(driving: KeyedMotion) -> None:
     t = np.arange(0.0, driving.duration_s, 0.01)
     q = driving.pose_at(t)[0]
@@ -62,12 +74,13 @@ def test_a_driver_moves_smoothly_within_the_limits_of_the_joints(driving: KeyedM
 def test_keys_hold_by_the_generators_own_check_and_ways_by_the_stated_depth(stage: Stage, driving: KeyedMotion) -> None:
     course = _Course(stage)
     for k, name in enumerate(driving.keys):
-        posed = stage.person.pose(driving.q[k], driving.root[k])
+        posed = stage.person.pose(driving.q[k], driving.root[k], driving.fingers[k])
         verdict = stage.validator.check([("driver", stage.person, posed)], stage.settings, float(driving.wheel_angle[k]))
         assert verdict.ok or name.startswith("look_"), verdict
     for t in np.arange(0.0, driving.duration_s, 0.25):
         q, root, wheel = driving.pose_at(t)
-        assert course._depth(q[0], root[0], float(wheel[0])) <= PASS_M + 0.005  # between the looks it may be a little more
+        at = Key(q[0], root[0], float(wheel[0]), driving.fingers_at(t)[0])
+        assert course.depth(at) <= PASS_M + 0.005  # between the looks it may be a little more
 
 
 def test_a_way_through_the_car_or_the_body_is_refused(stage: Stage) -> None:

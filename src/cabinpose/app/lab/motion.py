@@ -19,7 +19,18 @@ from scipy.spatial.transform import Rotation
 
 from cabinpose._native import body as native
 from cabinpose.core import JOINTS, STANDING_SLOT, Matrix, SceneError, unknown_name
-from cabinpose.scene.body import DOF_INDEX, LOWER, SEGMENTS, SUBJECTS, UPPER, BodyModel, Person, PosedBody, main_frames
+from cabinpose.scene.body import (
+    DOF_INDEX,
+    LOWER,
+    SEGMENTS,
+    SUBJECTS,
+    UPPER,
+    BodyModel,
+    Person,
+    PosedBody,
+    every_finger,
+    main_frames,
+)
 from cabinpose.scene.cabin import Cabin, Seat, SeatSetting
 from cabinpose.scene.contact import FLESH_M, PosedSolids, SolidTopology, person_contact, self_contact, solid_topology
 from cabinpose.synth import Validator, judged_cabin
@@ -66,7 +77,8 @@ class KeyedMotion:
 
     Key k is held from arrive_s[k] to leave_s[k] (K,), rising · q: (K, D) rad in the order of `DOFS` · root: (K, 4, 4)
     scene_from_root · wheel_angle: (K,) rad · keys: (K,) what each is · windows: labelled spans · slot, cabin, settings: the
-    seat and the car, None in a room. Before the first key and after the last one the person holds still.
+    seat and the car, None in a room · fingers: (K, 2, 16) as `Person.pose` takes them, None where all follow the grip. Before the
+    first key and after the last one the person holds still.
     """
 
     person: Person
@@ -80,6 +92,7 @@ class KeyedMotion:
     slot: str = STANDING_SLOT
     cabin: Cabin | None = None
     settings: Mapping[str, SeatSetting] = field(default_factory=dict)
+    fingers: F64 | None = None
 
     @property
     def duration_s(self) -> float:
@@ -92,6 +105,23 @@ class KeyedMotion:
 
     def pose_at(self, time_s: ArrayLike) -> tuple[F64, Matrix, F64]:
         """q (T, D) rad, scene_from_root (T, 4, 4) and wheel angle (T,) rad at times (T,)."""
+        before, after, s = self._between_keys(time_s)
+        q = self.q[before] + s[:, None] * (self.q[after] - self.q[before])
+        first, second = Rotation.from_matrix(self.root[before, :3, :3]), Rotation.from_matrix(self.root[after, :3, :3])
+        root = np.tile(np.eye(4), (len(s), 1, 1))
+        root[:, :3, :3] = (first * Rotation.from_rotvec(s[:, None] * (first.inv() * second).as_rotvec())).as_matrix()
+        root[:, :3, 3] = self.root[before, :3, 3] + s[:, None] * (self.root[after, :3, 3] - self.root[before, :3, 3])
+        return q, root, self.wheel_angle[before] + s * (self.wheel_angle[after] - self.wheel_angle[before])
+
+    def fingers_at(self, time_s: ArrayLike) -> F64 | None:
+        """(T, 2, 16) fingers at times (T,), None where all follow the grip."""
+        if self.fingers is None:
+            return None
+        before, after, s = self._between_keys(time_s)
+        return np.asarray(self.fingers[before] + s[:, None, None] * (self.fingers[after] - self.fingers[before]))
+
+    def _between_keys(self, time_s: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64], F64]:
+        """Numbers (T,) of the keys before and after times (T,), and the share (T,) of the way from the one to the other."""
         t = np.atleast_1d(np.asarray(time_s, np.float64))
         before = np.clip(np.searchsorted(self.arrive_s, t, side="right") - 1, 0, len(self.keys) - 1)
         after = np.minimum(before + 1, len(self.keys) - 1)
@@ -99,12 +129,7 @@ class KeyedMotion:
         x = np.clip((t - self.leave_s[before]) / span, 0.0, 1.0)
         s = x**3 * (10.0 + x * (6.0 * x - 15.0))
         s[after == before] = 0.0
-        q = self.q[before] + s[:, None] * (self.q[after] - self.q[before])
-        first, second = Rotation.from_matrix(self.root[before, :3, :3]), Rotation.from_matrix(self.root[after, :3, :3])
-        root = np.tile(np.eye(4), (len(t), 1, 1))
-        root[:, :3, :3] = (first * Rotation.from_rotvec(s[:, None] * (first.inv() * second).as_rotvec())).as_matrix()
-        root[:, :3, 3] = self.root[before, :3, 3] + s[:, None] * (self.root[after, :3, 3] - self.root[before, :3, 3])
-        return q, root, self.wheel_angle[before] + s * (self.wheel_angle[after] - self.wheel_angle[before])
+        return before, after, s
 
     def bones(self, time_s: ArrayLike) -> tuple[F64, F64]:
         """Rotation (T, 23, 3, 3) and origin (T, 23, 3) m of the main bones of `rig.MAIN_BONES`, scene frame."""
@@ -123,7 +148,8 @@ class KeyedMotion:
     def body(self, time_s: float) -> PosedBody:
         """The posed, skinned body at a time."""
         q, root, _ = self.pose_at(time_s)
-        return self.person.pose(q[0], root[0])
+        fingers = self.fingers_at(time_s)
+        return self.person.pose(q[0], root[0], None if fingers is None else fingers[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,11 +265,12 @@ def calibrate_head(stage: Stage, *, rng: np.random.Generator) -> KeyedMotion:
 
 
 class Key(NamedTuple):
-    """A key pose: q (D,) rad, scene_from_root (4, 4), wheel angle (rad)."""
+    """A key pose: q (D,) rad, scene_from_root (4, 4), wheel angle (rad), fingers (2, 16) as `Person.pose` takes them."""
 
     q: F64
     root: Matrix
-    wheel_angle: float = 0.0
+    wheel_angle: float
+    fingers: F64
 
 
 class _Course:
@@ -284,40 +311,42 @@ class _Course:
     def free(self, key: Key, move_s: float) -> bool:
         """Whether nothing goes deeper than `PASS_M` beyond what yields on the way to a key, the key included."""
         steps = max(math.ceil(move_s * CHECK_HZ), 2)
-        q, root, wheel = _between(self.last, key, np.arange(1, steps + 1) / steps)
-        return all(self._depth(q[k], root[k], float(wheel[k])) <= PASS_M for k in range(steps))
+        way = _between(self.last, key, np.arange(1, steps + 1) / steps)
+        return all(self.depth(at) <= PASS_M for at in way)
 
     def motion(self, windows: tuple[Window, ...] = ()) -> KeyedMotion:
         return KeyedMotion(
             self._stage.person, np.array(self._arrive), np.array(self._leave), np.stack([k.q for k in self._keys]),
             np.stack([k.root for k in self._keys]), np.array([k.wheel_angle for k in self._keys]), tuple(self.names), windows,
-            self._stage.slot, self._stage.cabin, self._stage.settings,
+            self._stage.slot, self._stage.cabin, self._stage.settings, np.stack([k.fingers for k in self._keys]),
         )  # fmt: skip
 
-    def _depth(self, q: F64, root: Matrix, wheel: float) -> float:
+    def depth(self, at: Key) -> float:
         """By how much (m) a pose goes deeper than flesh and foam yield: into itself or the car."""
         stage = self._stage
-        posed = stage.person.pose(q, root)
+        posed = stage.person.pose(at.q, at.root, at.fingers)
         if self._topology is None:
             self._topology = solid_topology(stage.person.skin_faces, stage.person.skin_segment, SEGMENTS, posed.skin)
         body = PosedSolids.of(self._topology, posed.skin)
         found = self_contact(body, posed.joints)
         contact = stage.validator.contact
         assert contact is not None  # a car's validator has the car's fields
-        touched = contact.at(stage.settings, wheel).deepest(body.skin_points[0], FLESH_M)
+        touched = contact.at(stage.settings, at.wheel_angle).deepest(body.skin_points[0], FLESH_M)
         return max(0.0 if found is None else found[1].excess_m, 0.0 if touched is None else touched.excess_m)
 
 
 _TURNING = np.array([not name.endswith("grip") for name in DOF_INDEX])
 
 
-def _between(one: Key, two: Key, share: F64) -> tuple[F64, Matrix, F64]:
+def _between(one: Key, two: Key, share: F64) -> list[Key]:
     """Poses at shares (N,) of the way's time from one key to another."""
     way = KeyedMotion(
         None, np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.stack((one.q, two.q)), np.stack((one.root, two.root)),  # type: ignore[arg-type]
-        np.array((one.wheel_angle, two.wheel_angle)), ("", ""),
+        np.array((one.wheel_angle, two.wheel_angle)), ("", ""), fingers=np.stack((one.fingers, two.fingers)),
     )  # fmt: skip
-    return way.pose_at(share)
+    fingers = way.fingers_at(share)
+    assert fingers is not None  # both keys have them
+    return [Key(q, root, float(wheel), curl) for q, root, wheel, curl in zip(*way.pose_at(share), fingers, strict=True)]
 
 
 def _resting(stage: Stage) -> str:
@@ -331,11 +360,12 @@ def _key(stage: Stage, action: str, rng: np.random.Generator) -> Key:
     seated = SeatContext(stage.person, stage.seat, stage.settings[stage.slot], stage.cabin, stage.offset)
     pose = sample_pose(seated, action, car=lambda angle: contact.at(stage.settings, angle), rng=rng)
     wheel = pose.wheel_angle or 0.0
-    posed = stage.person.pose(pose.q, pose.vehicle_from_root)
+    fingers = every_finger(pose.q, pose.fingers)
+    posed = stage.person.pose(pose.q, pose.vehicle_from_root, fingers)
     verdict = stage.validator.check([(stage.slot, stage.person, posed)], stage.settings, wheel)
     if not verdict.ok:
         raise SceneError(f"{action}: {verdict.rejection}", hint="draw again")
-    return Key(pose.q, pose.vehicle_from_root, wheel)
+    return Key(pose.q, pose.vehicle_from_root, wheel, fingers)
 
 
 def _first(stage: Stage, rng: np.random.Generator) -> Key:

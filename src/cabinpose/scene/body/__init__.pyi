@@ -11,6 +11,7 @@ from .model import Build as Build
 from .model import Person as Person
 from .model import PosedBody as PosedBody
 from .model import by_phalanx as by_phalanx
+from .model import every_finger as every_finger
 from .outfit import Outfit as Outfit
 from .outfit import hair_shares as hair_shares
 from .outfit import worn as worn

@@ -162,6 +162,17 @@ def by_phalanx(fingers: Floats) -> Floats:
     return np.concatenate((np.repeat(fingers[:, :5], 3, axis=1), closed), axis=1)
 
 
+def every_finger(q: Floats, fingers: Floats | None) -> Floats:
+    """(2, 16) fingers of a pose, those that follow the grip as they do; fingers as `Person.pose` takes them."""
+    grip = q[[DOF_INDEX["lhand.grip"], DOF_INDEX["rhand.grip"]], None]
+    by_grip = np.concatenate((np.repeat(grip, 15, axis=1), CLOSING * grip), axis=1)
+    if fingers is None:
+        return by_grip
+    known = by_phalanx(fingers)
+    by_grip[:, 15] = CLOSING * np.nanmean(np.where(np.isnan(known), by_grip, known)[:, 3:15], axis=1)
+    return np.where(np.isnan(known), by_grip, known)
+
+
 def _with_fingers(rest: RestArrays, q: Floats, fingers: Floats | None) -> RestArrays:
     """The skeleton with fingers that bend as `Person.pose` takes them: the kernel curls each by its hand's grip."""
     if fingers is None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cabinpose.core import Floats, Matrix, rotation_vector, transform
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import CLOSING, DOF_INDEX, DOFS, LOWER, UPPER, Person, PosedBody, by_phalanx
+from cabinpose.scene.body import DOF_INDEX, DOFS, LOWER, UPPER, Person, PosedBody, every_finger
 from cabinpose.scene.things import PlacedThing
 from cabinpose.synth.motion.minimum_jerk import FASTEST, FASTEST_GRIP, progress, progress_rate
 from cabinpose.synth.posture.grasps import OPEN_HAND, Hold
@@ -178,7 +178,7 @@ class Track:
     def state_of(self, pose: Pose) -> Floats:
         """(83,) the state of a pose."""
         turned = _rotation_log(rp.matmul(self._rotation.T, pose.root[:3, :3]))
-        fingers = _fingers(pose.q, pose.fingers).reshape(-1)
+        fingers = every_finger(pose.q, pose.fingers).reshape(-1)
         return np.concatenate((pose.q, pose.root[:3, 3], turned, [pose.wheel_angle], fingers))
 
     def pose_of(self, state: Floats) -> Pose:
@@ -202,7 +202,7 @@ class Track:
 
     def body(self, person: Person, pose: Pose, time_s: float) -> PosedBody:
         """The person in a pose at a time, with fingers around what the hand holds."""
-        fingers = _fingers(pose.q, pose.fingers)
+        fingers = every_finger(pose.q, pose.fingers)
         for held in self.holds:
             side = held.hold.side
             curl = held.curl(time_s, fingers[side, :15])
@@ -233,17 +233,6 @@ class Track:
     def activity(self, time_s: float) -> str:
         """What is being done at a time."""
         return next((s.activity for s in reversed(self.segments) if time_s >= s.start_s), self._activity)
-
-
-def _fingers(q: Floats, fingers: Floats | None) -> Floats:
-    """(2, 16) fingers of a pose, those that follow the grip as they do."""
-    grip = q[_GRIPS, None]
-    by_grip = np.concatenate((np.repeat(grip, 15, axis=1), CLOSING * grip), axis=1)
-    if fingers is None:
-        return by_grip
-    known = by_phalanx(fingers)
-    by_grip[:, 15] = CLOSING * np.nanmean(np.where(np.isnan(known), by_grip, known)[:, 3:15], axis=1)
-    return np.where(np.isnan(known), by_grip, known)
 
 
 def _rotation_log(rotation: Floats) -> Floats:
