@@ -13,7 +13,7 @@ from scipy import stats
 from scipy.spatial import ConvexHull
 
 from cabinpose.scene import LABEL_ID, MATERIAL_ID
-from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, PLACES, SUBJECTS, BodyModel, Outfit, outfit
+from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, PLACES, SUBJECTS, BodyModel, Outfit, Phenotype, outfit
 from cabinpose.scene.body.accessories import head_box
 from cabinpose.scene.body.garments import layer
 from cabinpose.scene.body.sheets import hull_radius
@@ -60,6 +60,20 @@ def test_every_piece_is_closed_and_turned_outwards(garment: str) -> None:
         assert mesh.is_winding_consistent
         assert mesh.volume > 0
         np.testing.assert_allclose(piece.weights.sum(axis=1), 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("age", [-1.0, -0.8, -0.6, 0.0])
+def test_a_scarf_lies_round_necks_of_every_age(age: float) -> None:
+    """A child's is shorter against its head: the turns lie below the chin, on skin, and not above where rays meet any."""
+    body = BodyModel.load().person(Phenotype(age=age), replace(PLAIN, scarf=True))
+    seen = layer(body.rest_skin, body.rest, body.outfit, 1.0)
+    skin, middle = body.rest_skin.astype(np.float64), body.eye_centres.mean(axis=0)
+    upper, lower, _ = draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), body.outfit)
+    mesh = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)
+    for turn in (upper, lower):
+        _, distance, _ = trimesh.proximity.closest_point(mesh, turn.vertices)
+        assert np.quantile(distance, 0.9) < 0.035
+        assert turn.vertices[:, 2].max() < middle[2]
 
 
 @pytest.mark.parametrize("name", [MAN, WOMAN])
