@@ -25,6 +25,7 @@ _OVER_SHOULDER_M = 0.07  # of loose straps, from where they come out for a child
 _SHELL = (" shell", " padding")
 _GUIDE_M = (0.04, 0.020, 0.035)  # before the back, farther aside than the middle of the shoulder, above it
 _SLOT_M, _HIP_M = (0.010, 0.055, 0.010), (0.100, 0.125, 0.035)  # likewise; the hips' above the cushion
+_BEHIND_HIPS_M, _HIPS_M = 0.040, 0.030  # of the slots beside the hips: behind the hips themselves; before the back, at least
 
 
 def restrained(
@@ -86,8 +87,12 @@ def straps(on: PlacedThing, body: PosedBody) -> tuple[Floats, Floats]:
     """Where a harness comes out of its shell, (2, 3) m each, vehicle frame: behind the shoulders and beside the hips."""
     if on.thing.lying is not None:
         return straps_of({name: body.joints[i] for name, i in CABINPOSE.index.items()}, on.vehicle_from_thing)
-    height = apply(invert(on.vehicle_from_thing), body.joints[CABINPOSE.indices(("lshoulder", "rshoulder"))])[:, 2].mean()
-    places = ((height + _SLOT_M[2], *_SLOT_M[:2]), (_sitting(on).cushion[0] + _HIP_M[2], *_HIP_M[:2]))
+    of = ("lshoulder", "rshoulder"), ("lpelvis", "rpelvis")
+    shoulders, pelvis = (apply(invert(on.vehicle_from_thing), body.joints[CABINPOSE.indices(pair)]).mean(axis=0) for pair in of)
+    low, back = _sitting(on).cushion[0] + _HIP_M[2], _sitting(on).back
+    assert back is not None
+    behind = pelvis[0] - _BEHIND_HIPS_M - back[0] - back[1] * low  # the lap part runs forwards from there, not up over the belly
+    places = ((shoulders[2] + _SLOT_M[2], *_SLOT_M[:2]), (low, float(np.clip(behind, _HIPS_M, _HIP_M[0])), _HIP_M[1]))
     slots, hips = (np.stack([_beside_back(on, z, ahead, s * aside) for s in (1.0, -1.0)]) for z, ahead, aside in places)
     return slots, hips
 
