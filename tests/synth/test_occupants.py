@@ -210,7 +210,7 @@ def test_empty_seats_stay_where_legs_and_child_seats_had_them(scene: dict[str, A
 
 def test_a_belt_that_hangs_or_is_drawn_is_written_out() -> None:
     """Frames while somebody buckles up: all bytes but the time since the sequence's start."""
-    sequence = {"frames": 60, "rate_hz": 7.0, "activities": ["buckle_up"]}
+    sequence = {"frames": 80, "rate_hz": 7.0, "activities": ["buckle_up"]}
     maker = FrameMaker(config({"occupancy": {"front_passenger": 1.0}, "sequence": sequence}, people={"subjects": ["S04"]}), SEED)
     buckling = maker.sampler.plan_sequence(0).tracks["front_passenger"].buckling
     assert buckling is not None
