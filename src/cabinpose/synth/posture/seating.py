@@ -134,7 +134,7 @@ def with_leg_room(settings: Mapping[str, SeatSetting], people: Mapping[str, Pers
     for slot, person in people.items():
         seat = cabin.seats[slot]
         before = next(
-            (f for f in _MOVED_M if slot.startswith("rear") and f in cabin.seats and _is_before(cabin.seats[f], seat)), None
+            (f for f in _MOVED_M if slot.startswith("rear") and f in cabin.seats and is_before(cabin.seats[f], seat)), None
         )
         if before is None:
             continue
@@ -151,7 +151,7 @@ def with_leg_room(settings: Mapping[str, SeatSetting], people: Mapping[str, Pers
     return result
 
 
-def _is_before(front: Seat, seat: Seat) -> bool:
+def is_before(front: Seat, seat: Seat) -> bool:
     """Whether somebody in a seat has the back of a front seat before the knees."""
     same_way = rp.cos(front.facing_yaw - seat.facing_yaw) > 0.0
     return same_way and float(front.design_h_point[1] * seat.design_h_point[1]) > 0.0
@@ -161,8 +161,7 @@ def _is_before(front: Seat, seat: Seat) -> bool:
 def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, taste: float) -> SeatSetting:
     """The least discomfort over fore-aft, height and recline, in closed form in side view.
 
-    Reclines are tried from the seat's default on, and no farther than their own share of the discomfort allows. taste: how much
-    farther off than most a person likes to sit, in standard deviations.
+    taste: how much farther off than most a person likes to sit, in standard deviations.
     """
     seat, wheel = cabin.seats[slot], cabin.steering_wheel
     assert wheel is not None  # the caller saw to it
@@ -206,35 +205,28 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, tast
         + np.minimum((np.maximum(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2, _MOST_UNEASE)
     )
 
-    def unease(recline: float) -> float:
-        return float(((recline - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2)
-
-    def best_at(recline: float) -> tuple[float, SeatSetting]:
-        back = axis_rotation("y", seat.default.torso_angle - recline)
-        shoulder = h_points + at_hip + rp.matmul(back, fit.shoulders.mean(axis=0) - at_hip)
-        elbow = _flexion(arm, forearm, rp.hypot(rp.hypot(*(grip - shoulder)[:, [0, 2]].T), beside) - _PALM_REACH_M)
-        front = at_hip + rp.matmul(fit.front - at_hip, back.T)
-        gap = np.empty(len(place))
-        for seat_height in heights:
-            at = place[:, 0] == seat_height
-            level = np.abs(front[:, 2] + h_points[at][0, 2] - rim_bottom[2]) < 0.06
-            gap[at] = rim_bottom[0] - h_points[at, 0] - front[level, 0].max() if level.any() else 1.0
-        cost = (
-            common
-            + ((elbow - _ELBOW) / _ELBOW_SPREAD + _TASTE * taste) ** 2
-            + unease(recline)
-            + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
-        )
-        n = int(np.argmin(cost))
-        return float(cost[n]), SeatSetting(float(place[n, 1]), float(place[n, 0]), recline)
-
-    reclines = np.clip(seat.default.torso_angle + np.radians(_RECLINES_DEG), low.torso_angle, high.torso_angle)
-    best = (np.inf, seat.default)
-    for recline in sorted({float(r) for r in reclines}, key=unease):
-        if unease(recline) >= best[0]:
-            break
-        best = min(best, best_at(recline), key=lambda found: found[0])
-    return best[1]
+    asked = np.clip(seat.default.torso_angle + np.radians(_RECLINES_DEG), low.torso_angle, high.torso_angle)
+    reclines = np.unique(asked)
+    unease = ((reclines - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2
+    turns = np.stack([axis_rotation("y", float(angle)) for angle in seat.default.torso_angle - reclines])
+    shoulder = at_hip + rp.matmul(turns, fit.shoulders.mean(axis=0) - at_hip)  # (R, 3) of R reclines
+    ahead, above = np.moveaxis((grip - h_points)[None] - shoulder[:, None], -1, 0)[[0, 2]]  # (R, P)
+    elbow = _flexion(arm, forearm, rp.hypot(rp.hypot(ahead, above), beside) - _PALM_REACH_M)
+    front = at_hip + rp.matmul(fit.front - at_hip, turns.transpose(0, 2, 1))  # (R, N, 3)
+    gap = np.empty((len(reclines), len(place)))
+    for seat_height in heights:
+        at = place[:, 0] == seat_height
+        level = np.abs(front[..., 2] + h_points[at][0, 2] - rim_bottom[2]) < 0.06
+        belly = np.where(level, front[..., 0], -np.inf).max(axis=1, keepdims=True)
+        gap[:, at] = np.where(np.isfinite(belly), rim_bottom[0] - h_points[at, 0] - belly, 1.0)
+    cost = (
+        common
+        + ((elbow - _ELBOW) / _ELBOW_SPREAD + _TASTE * taste) ** 2
+        + unease[:, None]
+        + (np.maximum(_BELLY_GAP_M - gap, 0.0) / _BELLY_SPREAD_M) ** 2
+    )
+    recline, n = np.unravel_index(np.argmin(cost), cost.shape)
+    return SeatSetting(float(place[n, 1]), float(place[n, 0]), float(reclines[recline]))
 
 
 def _flexion(upper: float, lower: float, distance: Floats) -> Floats:
