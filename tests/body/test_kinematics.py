@@ -252,3 +252,17 @@ def test_fist_is_tighter_than_a_grip() -> None:
         hand = posed.skin[body.skin_segment == SEGMENTS.index("lhand")]
         spans.append(((hand - posed.palms["l"][:3, 3]) @ posed.palms["l"][:3, :3])[:, 0].max())
     assert spans[0] > spans[1] > spans[2]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_pose_that_is_not_finite_is_refused(value: float) -> None:
+    q = pose()
+    q[DOF_INDEX["lhand.grip"]] = value
+    with pytest.raises(ValueError, match=r"q is not finite: lhand\.grip"):
+        person("S01").pose(q, np.eye(4))
+
+
+@pytest.mark.parametrize("shape", [(2, 15), (2, 7), (1, 16), (3, 5), (32,)])
+def test_fingers_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="expected 2 rows of 5, 6 or 16"):
+        person("S01").pose(pose(), np.eye(4), np.zeros(shape))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+from dataclasses import replace
 from weakref import ref
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from cabinpose.core.pose import OCCUPANT_SLOTS
 from cabinpose.scene.body import SUBJECTS, BodyModel, Person
 from cabinpose.scene.cabin import build_cabin
+from cabinpose.synth import casting
 from cabinpose.synth.casting import slimmest_in_the_middle
 from cabinpose.synth.config import CabinScene, SynthConfig
 from cabinpose.synth.posing import rows_of
@@ -106,3 +108,12 @@ def test_what_is_known_of_a_person_goes_with_the_person(model: BodyModel) -> Non
     del person
     gc.collect()
     assert gone() is None
+
+
+@pytest.mark.parametrize(("yaw", "moved"), [(0.0, True), (np.pi, False)])
+def test_a_front_seat_makes_room_for_a_childs_legs_that_come_to_its_back(yaw: float, moved: bool) -> None:
+    """A child who looks backwards has no knees behind the front seat."""
+    cabin = build_cabin("suv")
+    turned = replace(cabin, seats={**cabin.seats, "rear_right": replace(cabin.seats["rear_right"], facing_yaw=yaw)})
+    settings = {slot: seat.default for slot, seat in turned.seats.items()}
+    assert bool(casting._moved_forwards(turned, "rear_right", settings)) == moved

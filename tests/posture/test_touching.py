@@ -112,3 +112,15 @@ def test_fingers_close_around_a_rim(side: int) -> None:
     assert (fingers >= 0.0).all()
     assert (fingers <= 1.0).all()
     assert who.posed.q[DOF_INDEX[hand + "hand.grip"]] == pytest.approx(fingers.mean())
+
+
+def test_a_given_grip_stays_beside_fingers_that_close_around_the_rim() -> None:
+    """The one hand's fingers follow the grip that is given; the other one's close by themselves, all is finite."""
+    driver = {"action": "drive", "subject": "S01", "initial_pose_deg": {"lhand.grip": 0.3}}
+    told = {"kind": "cabin", "cars": ["sedan"], "occupants": {"driver": driver}, "occupancy": {}}
+    scene = SceneSampler(SynthConfig.model_validate({"scene": told}), 0).sample(0, rng=frame_rng(0, 0))
+    posed = scene.people[0].posed
+    assert posed.q[DOF_INDEX["lhand.grip"]] == pytest.approx(0.3)
+    assert np.isfinite(posed.q).all()
+    assert np.isnan(posed.fingers[0]).all()
+    assert np.isfinite(posed.fingers[1, 3:15]).all()

@@ -102,6 +102,10 @@ def test_unknown_key_names_its_path_and_close_matches() -> None:
         ({"scene": {"kind": "cabin", "seats": {"roof": SET}}}, "roof"),
         ({"scene": {"kind": "cabin", "seats": {"driver": SET}, "occupants": {"driver": {"pose": POSE}}}}, "scene.seats"),
         ({"scene": {"kind": "cabin", "occupants": {"driver": {"belted": True, "pose": POSE}}}}, "tongue"),
+        *(
+            ({"scene": {"kind": "cabin", "occupants": {"driver": {"pose": POSE | {"fingers": fingers}}}}}, "fingers of ")
+            for fingers in ([[0.1] * 15] * 2, [[0.1] * 7] * 2, [[0.1] * 5], [[0.1] * 5, [0.1] * 6], [])
+        ),
         ({"scene": {"kind": "cabin", "occupants": {"driver": {"belt": "under_arm", "pose": POSE}}}}, "tongue"),
         ({"scene": {"kind": "boat"}}, "boat"),
         ({"noise": {"kind": "perlin"}}, "perlin"),

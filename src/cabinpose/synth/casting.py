@@ -19,6 +19,7 @@ from cabinpose.synth.plan import Plan
 from cabinpose.synth.posture import FREE_POSES, WITHOUT_SEAT, choose_setting, with_leg_room
 from cabinpose.synth.posture.neighbours import close_seats, half_breadth
 from cabinpose.synth.posture.sampling import OccupantPose
+from cabinpose.synth.posture.seating import is_before
 from cabinpose.synth.scene import ScenePerson, Tongue
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.things import (
@@ -218,8 +219,8 @@ def _moved_forwards(cabin: Cabin, slot: str, settings: Mapping[str, SeatSetting]
     The front passenger's by all that is given, the driver's by what the child's feet need of it.
     """
     seat = cabin.seats[slot]
-    before = (s for s in ("front_passenger", "driver") if s in settings and slot.startswith("rear") and s in cabin.seats)
-    name = next((s for s in before if float(cabin.seats[s].design_h_point[1] * seat.design_h_point[1]) > 0.0), None)
+    known = (s for s in ("front_passenger", "driver") if s in settings and slot.startswith("rear") and s in cabin.seats)
+    name = next((s for s in known if is_before(cabin.seats[s], seat)), None)
     if name is None:
         return {}
     front, setting, moved = cabin.seats[name], settings[name], _FOR_LEGS_M

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError, is_rigid, unknown_name
 from cabinpose.core import reproducible as rp
-from cabinpose.scene.body import Face, load_faces
+from cabinpose.scene.body import FINGER_COUNTS, Face, load_faces
 from cabinpose.scene.cabin import BeltWear, SeatSetting
 from cabinpose.scene.things import Attachment, Cloth, Clutter, PlacedThing, make_thing, thing_kind
 from cabinpose.synth.people import Model, Probability
@@ -107,6 +107,20 @@ class ExactPose(ExactSetting):
             low, high = (limit * dof_scale(name) for limit in limits_deg(name))
             check_within(name, angle, low, high, _LIMIT_SLACK)
         return angles
+
+    @field_validator("fingers")
+    @classmethod
+    def _of_two_hands(cls, fingers: tuple[tuple[float | None, ...], ...] | None) -> tuple[tuple[float | None, ...], ...] | None:
+        if fingers is None:
+            return None
+        counts = [len(hand) for hand in fingers]
+        if len(counts) != 2 or counts[0] != counts[1] or counts[0] not in FINGER_COUNTS:
+            raise ConfigError(
+                f"fingers of {' and '.join(map(str, counts)) or 'no'} numbers",
+                hint="give two hands, the left one first, as many numbers each: 5 fingers; 5 and how far they are closed;"
+                " or 15 phalanges and how far they are closed",
+            )
+        return fingers
 
 
 class ExactThing(Model):

@@ -6,6 +6,7 @@ from .joints import OWN_PARTS as OWN_PARTS
 from .joints import joints_in_body as joints_in_body
 from .kinematics import RestArrays as RestArrays
 from .kinematics import main_frames as main_frames
+from .model import FINGER_COUNTS as FINGER_COUNTS
 from .model import BodyModel as BodyModel
 from .model import Build as Build
 from .model import Person as Person

@@ -30,6 +30,8 @@ from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
 from cabinpose.scene.body.skeleton import CLOSING, rest_arrays, rig_points
 from cabinpose.scene.surface import Surface
 
+FINGER_COUNTS = (5, 6, 16)  # numbers of a hand, as `Person.pose` takes its fingers
+
 
 class Build:
     """Stands for what a person's outfits have in common, shape and soles: a key for what is kept of it."""
@@ -147,15 +149,22 @@ class Person:
 
 
 def checked(q: Floats) -> Floats:
-    """q as (D,) float64; ValueError for another shape."""
+    """q as (D,) float64; ValueError for another shape, and for what is not finite: the kernels read past their tables by it."""
     result = np.ascontiguousarray(q, np.float64)
     if result.shape != (len(DOFS),):
         raise ValueError(f"q has shape {result.shape}, expected ({len(DOFS)},)")
+    if not np.isfinite(result).all():
+        raise ValueError(f"q is not finite: {', '.join(DOFS[d].name for d in np.flatnonzero(~np.isfinite(result)))}")
     return result
 
 
 def by_phalanx(fingers: Floats) -> Floats:
-    """(2, 16) fingers as `Person.pose` takes them: curl of each phalanx, thumb first, from the knuckle on; how far closed up."""
+    """(2, 16) fingers as `Person.pose` takes them: curl of each phalanx, thumb first, from the knuckle on; how far closed up.
+
+    Raises ValueError where a hand has other than 5, 6 or 16 of them.
+    """
+    if fingers.ndim != 2 or fingers.shape[0] != 2 or fingers.shape[1] not in FINGER_COUNTS:
+        raise ValueError(f"fingers have shape {fingers.shape}, expected 2 rows of 5, 6 or 16")
     if fingers.shape[1] == 16:
         return fingers
     closed = fingers[:, 5:] if fingers.shape[1] == 6 else np.full((2, 1), np.nan)

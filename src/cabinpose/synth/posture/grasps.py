@@ -242,15 +242,18 @@ def fingers_closed_on(
     return curl
 
 
+_Point = tuple[float, float]  # not a complex number: whether a processor rounds twice in their product is its own affair
+
+
 class _Chain(NamedTuple):
-    """A finger of a flat hand in the plane in which it bends, where a + bi is a m along the hand and b m out of the palm.
+    """A finger of a flat hand in the plane in which it bends; its points are a m along the hand and b m out of the palm.
 
     aside: m of the plane, x of the hand's bone · joints: MCP, PIP, DIP joint and tip · thick: m from each phalanx's axis to its
     skin · full: rad of each joint at a full curl · most: of that, of the knuckle around a rim.
     """
 
     aside: float
-    joints: tuple[complex, ...]
+    joints: tuple[_Point, ...]
     thick: tuple[float, ...]
     full: tuple[float, ...]
     most: float
@@ -266,15 +269,17 @@ def _chains(person: Person, side: int) -> tuple[_Chain, ...]:
     for finger, most in enumerate(_MOST_KNUCKLE, 2):
         bones = [BONE_INDEX[f"{'lr'[side]}finger{finger}_{phalanx}"] for phalanx in (1, 2, 3)]
         heads = rp.matmul(rest.heads[bones] - rest.heads[bone], rest.frames[bone])
-        joints, thick = (-heads[:, 2] - 1j * s * heads[:, 1]).tolist(), []
+        joints: list[_Point] = list(zip((-heads[:, 2]).tolist(), (-s * heads[:, 1]).tolist(), strict=True))
+        thick = []
         for k, phalanx in enumerate(bones):
             skin = every[leading == phalanx]
-            local = -skin[:, 2] - 1j * s * skin[:, 1] - joints[k]
+            x, y = -skin[:, 2] - joints[k][0], -s * skin[:, 1] - joints[k][1]
             if k == 2:
-                joints.append(joints[2] + complex(local.real.max(), local.imag.mean()))
-            along = joints[k + 1] - joints[k]
-            local = local * along.conjugate() / _length(along)
-            thick.append(float(local.imag[local.real > _PULP_FROM * _length(along)].max()))
+                joints.append((joints[2][0] + float(x.max()), joints[2][1] + float(y.mean())))
+            c, d = _between(joints[k], joints[k + 1])
+            length = _length((c, d))
+            ahead, out = (x * c + y * d) / length, (y * c - x * d) / length
+            thick.append(float(out[ahead > _PULP_FROM * length].max()))
         turns = rest.finger_axes[[b - BONE_INDEX["lfinger1_1"] for b in bones]]
         full = np.abs(rp.matmul(turns, rest.frames[bone][:, 0])) * rest.finger_curl[[b - BONE_INDEX["lfinger1_1"] for b in bones]]
         result.append(_Chain(float(heads[0, 0]), tuple(joints), tuple(thick), tuple(full.tolist()), most))
@@ -301,39 +306,49 @@ def fingers_around_rim(person: Person, wheel: SteeringWheel, vehicle_from_hand: 
         for turn in (sign,) if sign else (1.0, -1.0):
             c, d = radius * rp.cos(turned + turn * half), radius * rp.sin(turned + turn * half)
             y, z = (middle[axis] + c * one[axis] + d * two[axis] for axis in (1, 2))
-            places.append(((y - palm[1]) ** 2 + (z - palm[2]) ** 2, turn, complex(-z, -s * y)))
+            places.append(((y - palm[1]) ** 2 + (z - palm[2]) ** 2, turn, (-z, -s * y)))
         _, sign, rim = min(places)
         curl.append(_closed_finger(chain, rim, wheel.rim_section_m))
     return np.array(curl)
 
 
-def _closed_finger(chain: _Chain, rim: complex, section_m: float) -> list[float]:
+def _closed_finger(chain: _Chain, rim: _Point, section_m: float) -> list[float]:
     """The curl of each phalanx of a finger around a rim whose axis goes through its plane at `rim`."""
-    bent, turn = [0.0, 0.0, 0.0], complex(1.0)
+    bent, turn = [0.0, 0.0, 0.0], (1.0, 0.0)
     joint = chain.joints[0]
     for k, full in enumerate(chain.full):
-        phalanx = (chain.joints[k + 1] - chain.joints[k]) * turn
-        angle = _until_touch(rim - joint, phalanx, section_m + chain.thick[k])
+        phalanx = _turned(_between(chain.joints[k], chain.joints[k + 1]), turn)
+        angle = _until_touch(_between(joint, rim), phalanx, section_m + chain.thick[k])
         most = (chain.most, _MOST_PIP, min(bent[1] + _BEYOND_PIP, 1.0))[k]
         bent[k] = min(max(_OF_CONTACT[k] * angle / full, 0.0), most)
-        turned = complex(rp.cos(bent[k] * full), rp.sin(bent[k] * full))
-        joint, turn = joint + phalanx * turned, turn * turned
+        turned = (float(rp.cos(bent[k] * full)), float(rp.sin(bent[k] * full)))
+        x, y = _turned(phalanx, turned)
+        joint, turn = (joint[0] + x, joint[1] + y), _turned(turn, turned)
     return bent
 
 
-def _until_touch(rim: complex, phalanx: complex, apart: float) -> float:
+def _until_touch(rim: _Point, phalanx: _Point, apart: float) -> float:
     """rad by which a phalanx that begins at 0 turns until it is `apart` m from `rim`; inf where it never is."""
     length, far = _length(phalanx), max(_length(rim), apart)
-    at = rim * phalanx.conjugate()
-    ahead = float(rp.arctan2(at.imag, at.real))
+    along, out = _turned(rim, (phalanx[0], -phalanx[1]))
+    ahead = float(rp.arctan2(out, along))
     if far * far - apart * apart <= length * length:
         return ahead - float(rp.arcsin(apart / far))
     cosine = (far * far + length * length - apart * apart) / (2.0 * far * length)  # its end touches first
     return ahead - float(rp.arccos(cosine)) if cosine < 1.0 else math.inf
 
 
-def _length(a: complex) -> float:
-    return math.sqrt(a.real * a.real + a.imag * a.imag)
+def _turned(a: _Point, turn: _Point) -> _Point:
+    """A point turned by the angle of `turn` from the first axis, and longer by its length."""
+    return a[0] * turn[0] - a[1] * turn[1], a[0] * turn[1] + a[1] * turn[0]
+
+
+def _between(a: _Point, b: _Point) -> _Point:
+    return b[0] - a[0], b[1] - a[1]
+
+
+def _length(a: _Point) -> float:
+    return math.sqrt(a[0] * a[0] + a[1] * a[1])
 
 
 def _brought_near(thing: Thing, turned: Matrix, hand: Cloud, along: float) -> Matrix:

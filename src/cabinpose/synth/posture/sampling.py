@@ -26,7 +26,7 @@ from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.intents import carrying, holding, intents, with_fingers
 from cabinpose.synth.posture.legs import leg_plans, uncrossed
 from cabinpose.synth.posture.neighbours import NOBODY, Neighbours
-from cabinpose.synth.posture.places import THIGH, Hand, Reach
+from cabinpose.synth.posture.places import Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
 from cabinpose.synth.posture.touching import Touch, meet
 from cabinpose.synth.profiles import Profile
@@ -37,6 +37,7 @@ _GRIP_SIGMA = 0.025
 _SLUMPED = 3.0  # of a loin's small spread: how people differ, from upright to slumped (assumed)
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _HELD_GRIP = 0.5  # stands for the fingers of a hand that holds something: each has a curl of its own
+_SPANNING = ("long_skirt", "dress")  # between the thighs of who sits
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
 
 
@@ -182,8 +183,9 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
     plans = leg_plans(seated, rng=rng)
-    if any(plan.over and hands[1 - side].place is THIGH for side, plan in enumerate(plans)):
-        plans = uncrossed(plans)  # a hand on the lower thigh would lie between the two
+    lower = [hands[1 - side] for side, plan in enumerate(plans) if plan.over]
+    if lower and (seated.person.outfit.bottom in _SPANNING or lower[0].place.on_thigh(lower[0])):
+        plans = uncrossed(plans)  # a hand on the lower thigh would lie between the two, and a long skirt does not follow them
     feet = foot_goals(seated, root, plans)
     q, slumped = seated.fit.q.copy(), _SLUMPED if seated.on is None else 1.0
     slump = _move_trunk(q, action, side_sign, slumped, rng)
@@ -272,7 +274,7 @@ def settled(drawn: Sequence[Drawn], around: Sequence[Sitter] = (), placed: Place
             fingers = meet(who, touch, fingers, d.hold, placed)
         q = who.q.copy()  # the solver begins again with the hand that it knows
         for touch in d.touches:
-            if touch.rim is not None and fingers.shape[1] == 16:
+            if touch.rim is not None and touch.grasps and fingers.shape[1] == 16:
                 q[DOF_INDEX["lr"[touch.side] + "hand.grip"]] = max(float(fingers[touch.side, 3:15].mean()), _LEAST_GRIP)
         result.append(OccupantPose(q, who.root, d.action, d.wheel_angle, missed, refused, held_up_by, fingers, d.hold))
     return result
