@@ -205,11 +205,19 @@ def test_outfits_are_as_common_as_said(gender: float) -> None:
     seen = collections.Counter(each.top for each in drawn)
     assert set(seen) == set(tops)
     assert stats.chisquare([seen[kind] for kind in tops], [count * tops[kind] for kind in tops]).pvalue > 0.001
+    hangs = 1 - outfit.HOOD_UP - gender * outfit.HEADSCARF  # of hoods: over them nobody has a scarf
+    no_scarf = {
+        season: gender * outfit.HEADSCARF + 2 / 9 * outfit.TOP_CUTS[season]["jumper"]["hoodie"] * hangs
+        for season in ("cold", "warm")
+    }
+    assert not any(each.scarf and each.top == "hoodie" and each.headwear != "hood" for each in drawn)
     hanging = sum(each.bottom in outfit.HANGING_SHARES for each in drawn)
     assert stats.binomtest(hanging, count, gender * sum(outfit.HANGING_SHARES.values())).pvalue > 0.001
     for number, name in enumerate(("scarf", "gloves", "mask"), start=1):
-        share = outfit.COLD * outfit.SMALL_SHARES["cold"][number] + (1 - outfit.COLD) * outfit.SMALL_SHARES["warm"][number]
-        share *= 1 - gender * outfit.HEADSCARF if name == "scarf" else 1.0
+        share = sum(
+            often * outfit.SMALL_SHARES[season][number] * (1 - no_scarf[season] if name == "scarf" else 1.0)
+            for season, often in (("cold", outfit.COLD), ("warm", 1 - outfit.COLD))
+        )
         assert stats.binomtest(sum(getattr(each, name) for each in drawn), count, share).pvalue > 0.001, name
     beanies = (
         outfit.COLD * outfit.HEADWEAR_SHARES["cold"]["beanie"] + (1 - outfit.COLD) * outfit.HEADWEAR_SHARES["warm"]["beanie"]

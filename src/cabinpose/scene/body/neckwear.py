@@ -13,7 +13,7 @@ from cabinpose.scene.body.sheets import Accessory, Cloud, Draped, drape
 
 _ROUND = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
 _DOWN = np.array((0.25, 0.6, 1.0))[:, None]  # of a collar's leaf: rows from its fold to its end
-_RISE, _LEVELS = 0.75, 10  # of rays to it beside the neck; heights at which it is draped
+_RISE, _LEVELS = 0.75, 10  # of rays beside the neck; heights at which a leaf is draped
 _OVER_SCARF_M = 0.018  # of the skin of a neck, behind, over the middle of the upper turn of a scarf
 
 
@@ -81,14 +81,16 @@ def _evened(around: Floats) -> Floats:
     return around
 
 
-def _leaf(neck: Neck, angle: Floats, fold: Floats, height: Floats, length: Floats) -> Draped:
-    """The leaf of a turned-down collar from its fold (m, 3) at heights (m,) m: it hangs, or lies on cloth, for a length (m,) m.
+def _rise(angle: Floats) -> Floats:
+    """(m,) of rays outwards, m/m: beside the neck, where the shoulders lie flat, level ones would meet them far out."""
+    return np.asarray(_RISE * rp.sin(angle) ** 2 - 0.30 * rp.cos(angle))
 
-    Rays rise beside the neck, where the shoulders lie flat: level ones would meet them far out.
-    """
+
+def _leaf(neck: Neck, angle: Floats, fold: Floats, height: Floats, length: Floats) -> Draped:
+    """The leaf of a collar from its fold (m, 3) at heights (m,) m: it hangs, or lies on cloth, for a length (m,) m."""
     front, share = np.clip(rp.cos(angle), 0, 1) ** 2, np.linspace(0.0, 1.0, _LEVELS + 1)[1:, None]
     across = np.stack([rp.cos(angle), rp.sin(angle)], axis=1)
-    rise = _RISE * rp.sin(angle) ** 2 - 0.30 * rp.cos(angle)
+    rise = _rise(angle)
     low = height + share * (neck.long * (-0.025 - 0.030 * front) - height)
     reach = _evened(np.einsum("ij,ij->i", fold[:, :2] - neck.root[:2] - height[:, None] * neck.tilted[:2], across))
     hangs = reach + neck.size * share * (0.020 + 0.008 * front)
@@ -117,7 +119,7 @@ def _turned_down(neck: Neck, of: Garment, high: float, gap_deg: float) -> Access
     rows = -0.012 + (high + 0.012 - _lower(angle)) * np.array((0.0, 0.22, 0.48, 0.74, 0.94, 1.0))[:, None]
     off = np.array((0.001, 0.002, 0.003, 0.004, 0.005, 0.009))[:, None] + 0.0 * angle
     stand = _standing(neck, angle, rows, off, closed=False)
-    length = 0.8 * high + 0.025 * np.clip(rp.cos(angle), 0, 1) ** 2
+    length = 0.8 * high + 0.035 * np.clip(rp.cos(angle), 0, 1) ** 6  # its corners are pointed
     leaf = _leaf(neck, angle, stand.points[-1], neck.long * rows[-1], length)
     weights = stand.weights[-1] + _DOWN[..., None] * (leaf.weights - stand.weights[-1])
     whole = Draped(
@@ -173,7 +175,12 @@ def _rolled(path: Draped, half: Floats, up: Floats, drop: Floats, of: Garment) -
 def hood_down(neck: Neck, of: Garment) -> list[Accessory]:
     """A hood that hangs down behind: a bag of cloth on the back, its edges run to the throat."""
     behind = 0.5 - 0.5 * rp.cos(_ROUND)
-    path = _about(neck, neck.cloud, (0.016 + 0.018 * rp.sin(_ROUND) ** 2)[None] * neck.size, _ROUND, 0.0, closed=True)
+    height = neck.long * (0.016 + 0.012 * rp.sin(_ROUND) ** 2)
+    rise = _rise(_ROUND)
+    origin = neck.root + height[None, :, None] * neck.tilted
+    origin[..., 2] -= 0.075 * neck.size * _RISE * rp.sin(_ROUND) ** 2  # its rays come out as high
+    direction = np.stack([rp.cos(_ROUND), rp.sin(_ROUND), rise], axis=1)[None]
+    path = drape(neck.cloud, origin, direction, ball=0.025 * neck.size, off=0.0, sweeps=3, closed=True)
     half = neck.size * np.stack([0.004 + 0.024 * behind**2, 0.006 + 0.056 * rp.power(behind, 3.0)], axis=1)
     up = np.stack([0.55 * behind**2 * rp.cos(_ROUND), 0.0 * behind, 1.0 + 0.0 * behind], axis=1)
     return [_rolled(path, half, up, neck.size * 0.045 * rp.power(behind, 3.0), of)]

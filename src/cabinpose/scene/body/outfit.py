@@ -167,11 +167,12 @@ class Outfit:
         headwear: Headwear = at_rank(worn | {"none": 1.0 - sum(worn.values())}, head)
         if u[5] < _CAP and headwear == "none":
             headwear = "cap"
+        bare_neck = headwear != "headscarf" and (top != "hoodie" or headwear == "hood")  # a hood that hangs leaves no room
         dark, scarf, gloves, mask = (x < share for x, share in zip(small, SMALL_SHARES[season], strict=True))
         return cls(
             top=top, bottom=bottom, shoes=at_rank({"trainers": 3, "leather": 2}, u[2]), hair=at_rank(hair, u[3]),
             beard=bool(u[4] < 0.15), headwear=headwear, glasses="sun" if dark else "clear" if u[6] < 0.3 else "none",
-            scarf=scarf and headwear != "headscarf", gloves=gloves, mask=mask, fit=float(u[7]), folds=folds,
+            scarf=scarf and bare_neck, gloves=gloves, mask=mask, fit=float(u[7]), folds=folds,
         )  # fmt: skip
 
     def redressed(self, other: Outfit) -> Outfit:

@@ -19,6 +19,8 @@ from cabinpose.scene.body.sheets import Accessory, Cloud, drape
 from cabinpose.scene.body.skirts import HANGING, Legs, hanging
 
 _HEAD_M = 0.116  # height of the average adult's head over the eyes
+_NECK_M = 0.100  # from the neck's root to the head, by the average adult's size: of who has a longer one, size tells heights
+_BREADTHS = (0.6, 1.5)  # least and most of an open jacket's fronts, by the average
 _ON_HEADS = {"beanie": beanie, "hat": hat, "headscarf": headscarf, "hood": hood}
 _AT_NECKS = {
     "shirt": shirt_collar,
@@ -44,7 +46,8 @@ def draped(
     collar = None if outfit.headwear in COVERING_HAIR else _AT_NECKS.get(outfit.top)  # what covers the hair covers the neck
     if collar is not None or outfit.scarf:
         skin = Cloud(bare.astype(np.float64), everything.vertex).where((c.head < 0.5) & (c.up > 0.7) & (c.arm < 0.4))
-        at = Neck(everything.where((c.head < 0.5) & (c.up > 0.45) & (c.arm < 0.5)), skin, neck, size)
+        long = min(size, float(rp.norm(rest.heads[BONE_INDEX["head"]] - neck)) / _NECK_M)
+        at = Neck(everything.where((c.head < 0.5) & (c.up > 0.45) & (c.arm < 0.5)), skin, neck, size, long)
         if collar is not None:
             made += collar(at, wears["top"])
         if outfit.scarf:
@@ -58,7 +61,7 @@ def draped(
         if outfit.headwear in _ON_HEADS:
             made += _ON_HEADS[outfit.headwear](somebody, wears["headwear"])
     if outfit.top == "open_jacket":
-        chest = everything.where((c.arm < 0.4) & (c.up > -0.15) & (c.neck < 0.5))
+        chest = everything.where((c.arm < 0.4) & (c.up > -0.15) & (c.neck + c.head < 0.5))
         made += [_front(chest, neck, side, wears["top"]) for side in (1.0, -1.0)]
     for place, kind in (("bottom", outfit.bottom), ("top", outfit.top)):
         if kind in HANGING:
@@ -70,24 +73,33 @@ def draped(
 
 
 def _broadness(cloud: Cloud, side: float, z: Floats, aside: Floats) -> Floats:
-    """(rows, 1) how much broader than the average somebody is in front, at heights z and `aside` from the middle (rows, 1) m."""
+    """(rows, 1) how much broader than the average somebody is in front, at heights z and `aside` from the middle (rows, 1) m.
+
+    Where few points tell, it tends to 1.
+    """
     own = cloud.where((cloud.points[:, 0] > 0.0) & (cloud.points[:, 1] * side > 0.0))
     average, broad = np.abs(seen_chart().rest[own.vertex, 1]), np.abs(own.points[:, 1])
     near = bump(own.points[:, 2] - z, 0.0, 0.04) * bump(average - aside, 0.0, 0.03)
-    return np.asarray((near * broad).sum(axis=1) / (near * average).sum(axis=1))[:, None]
+    usual = aside[:, 0]
+    return np.asarray(((near * broad).sum(axis=1) + usual) / ((near * average).sum(axis=1) + usual))[:, None]
 
 
 def _front(cloud: Cloud, neck: Floats, side: float, of: Garment) -> Accessory:
-    """The front of an open jacket, from its edge to where it lies on the chest; side: 1 left, -1 right."""
+    """The front of an open jacket, from its edge to where it lies on the chest; side: 1 left, -1 right.
+
+    Towards the shoulder it is narrow, lies close, falls outwards as that does, and ends below the cloth.
+    """
     rows, columns = 30, 10
     size = neck[2] / load_chart().heads["neck01"][2]
-    up, out = np.linspace(1.04, 0.03, rows)[:, None], np.linspace(0.0, 1.0, columns)
-    wide = _broadness(cloud, side, up * neck[2], half_opening(up))
+    up, out = np.linspace(1.02, 0.03, rows)[:, None], np.linspace(0.0, 1.0, columns)
+    top = np.clip((up - 0.70) / 0.34, 0.0, 1.0)
+    wide = np.clip(_broadness(cloud, side, up * neck[2], half_opening(up)), *_BREADTHS)
+    aside = wide * (half_opening(up) + 0.085 * (1.0 - 0.65 * top) * out)
     origin = np.zeros((rows, columns, 3)) + (-0.03, 0.0, 0.0)
-    origin[..., 1] = side * (wide * (half_opening(up) + 0.085 * out) - 0.006 * size)
-    origin[..., 2] = up * neck[2]
+    origin[..., 1] = side * (aside - 0.006 * size)
+    origin[..., 2] = up * neck[2] - top * 0.5 * (aside - aside[:, :1])
     free = rp.power(1 - out, 1.5)
     stands = 0.012 + 0.022 * np.clip((0.8 - up) / 0.6, 0.0, 1.0) + 0.004 * rp.sin(14.0 * up + side)
+    off = 0.004 - 0.009 * out**2 + free * stands * (1.0 - top) - 0.009 * top**4
     direction = np.broadcast_to((1.0, 0.0, 0.0), origin.shape)
-    made = drape(cloud, origin, direction, ball=0.03, off=0.004 - 0.009 * out**2 + free * stands, sweeps=10, closed=False)
-    return made.cloth(0.004, of, closed=False)
+    return drape(cloud, origin, direction, ball=0.03, off=off, sweeps=10, closed=False).cloth(0.004, of, closed=False)
