@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy import stats
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 from cabinpose.scene import LABEL_ID, MATERIAL_ID
 from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, PLACES, SUBJECTS, BodyModel, Outfit, Phenotype, outfit
@@ -18,6 +18,8 @@ from cabinpose.scene.body.accessories import head_box
 from cabinpose.scene.body.garments import layer
 from cabinpose.scene.body.sheets import hull_radius
 from cabinpose.scene.body.wardrobe import draped
+from cabinpose.synth.people import People
+from cabinpose.synth.subjects import Subjects
 
 MAN, WOMAN = "S01", "S02"
 PLAIN = Outfit("long_sleeve", "trousers", "trainers", "short")
@@ -30,16 +32,31 @@ WORN = {
 }  # fmt: skip
 
 
+ABOUT_NECKS_M = {
+    "collar": 0.03,
+    "stand_collar": 0.025,
+    "hood_down": 0.08,
+    "open_jacket": 0.08,
+    "coat": 0.05,
+    "scarf": 0.05,
+}  # off the skin
+CHILDREN = [*(f"K{number:02d}" for number in range(14)), *(f"{kind}{number:02d}" for kind in "TI" for number in range(12))]
+
+
 @cache
 def person(name: str, garment: str):
     return BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, **WORN.get(garment, {})))
 
 
-def pieces(name: str, garment: str):
-    body = person(name, garment)
+def dressed(body):
+    """Cloth on its own, and the layer below it."""
     seen = layer(body.rest_skin, body.rest, body.outfit, 1.0)
     skin, middle = body.rest_skin.astype(np.float64), body.eye_centres.mean(axis=0)
-    return draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), body.outfit)
+    return draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), body.outfit), seen
+
+
+def pieces(name: str, garment: str):
+    return dressed(person(name, garment))[0]
 
 
 def seated() -> np.ndarray:
@@ -66,14 +83,38 @@ def test_every_piece_is_closed_and_turned_outwards(garment: str) -> None:
 def test_a_scarf_lies_round_necks_of_every_age(age: float) -> None:
     """A child's is shorter against its head: the turns lie below the chin, on skin, and not above where rays meet any."""
     body = BodyModel.load().person(Phenotype(age=age), replace(PLAIN, scarf=True))
-    seen = layer(body.rest_skin, body.rest, body.outfit, 1.0)
-    skin, middle = body.rest_skin.astype(np.float64), body.eye_centres.mean(axis=0)
-    upper, lower, _ = draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), body.outfit)
+    (upper, lower, _), _ = dressed(body)
+    middle = body.eye_centres.mean(axis=0)
     mesh = trimesh.Trimesh(body.rest_skin, body.skin_faces, process=False)
     for turn in (upper, lower):
         _, distance, _ = trimesh.proximity.closest_point(mesh, turn.vertices)
         assert np.quantile(distance, 0.9) < 0.035
         assert turn.vertices[:, 2].max() < middle[2]
+
+
+@pytest.mark.parametrize("child", CHILDREN)
+def test_children_wear_what_is_about_the_neck(child: str) -> None:
+    """All of it is near the bare body and below the eyes, however short the neck."""
+    phenotype, _ = Subjects(People(), 0).body(child)
+    for garment, far in ABOUT_NECKS_M.items():
+        body = BodyModel.load().person(phenotype, replace(PLAIN, **WORN[garment]))
+        made, seen = dressed(body)
+        bare, eyes = cKDTree(seen.bare), body.eye_centres[:, 2].min()
+        for piece in made[:1] if garment == "coat" else made:  # its skirt hangs off the thighs
+            assert np.quantile(bare.query(piece.vertices)[0], 0.97) < far, garment
+            assert piece.vertices[:, 2].max() < eyes - 0.01, garment
+
+
+@pytest.mark.parametrize("name", ["S02", "S04", "S08", "S10", "S17"])
+@pytest.mark.parametrize("garment", ["collar", "coat", "open_jacket"])
+def test_collars_and_fronts_end_on_the_cloth(name: str, garment: str) -> None:
+    """On the shoulders of anybody a collar's leaf is no brim, and the upper edge of an open jacket's fronts no slab."""
+    made, seen = dressed(person(name, garment))
+    cloth, columns = cKDTree(seen.vertices), 41
+    assert cloth.query(made[0].vertices[8 * columns : 9 * columns])[0].max() < 0.016
+    if garment == "open_jacket":
+        for front in made[-2:]:
+            assert cloth.query(front.vertices[:10])[0].max() < 0.018
 
 
 @pytest.mark.parametrize("name", [MAN, WOMAN])
