@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from cabinpose.core.errors import ConfigError
 from cabinpose.scene.body import BONE_INDEX, SUBJECTS, BodyModel, Person
-from cabinpose.scene.body.outfit import Bottom
 from cabinpose.scene.cabin import build_cabin
 from cabinpose.scene.things import CHILD_SEATS, OBJECTS, THINGS
-from cabinpose.synth.posture import legs
 from cabinpose.synth.posture.actions import ACTIONS, OWN_ACTIONS, Action, Gaze, action_named, suits
 from cabinpose.synth.posture.children import FREE_POSES
 from cabinpose.synth.posture.context import SeatContext, Trunk
 from cabinpose.synth.posture.frames import frames
 from cabinpose.synth.posture.hands import LimbTask, palm_frame
-from cabinpose.synth.posture.legs import STANCES
 from cabinpose.synth.posture.places import CARRY, EITHER, PLACES, TAKE, THIGH, Hand, HandPlace, Reach
-from cabinpose.synth.posture.sampling import Doing, draw_pose, sample_pose
+from cabinpose.synth.posture.sampling import sample_pose
 from cabinpose.synth.posture.seating import choose_setting
 
 
@@ -134,32 +129,3 @@ def test_a_target_of_the_cabin_comes_before_a_given_one(person: Person) -> None:
     found = PLACES["reach"].reach(seated, target, given, (0.0, 0.0, 0.0))
     assert found is not None
     np.testing.assert_array_equal(found.point, target)
-
-
-@pytest.mark.parametrize("name", ["thigh", "carry", "reach"])
-def test_nobody_crosses_thighs_below_a_hand_that_takes_the_room_there(
-    name: str, person: Person, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(legs, "STANCES", {"thighs crossed": STANCES["thighs crossed"]})
-    seat, cabin = build_cabin("suv").seats["front_passenger"], build_cabin("suv")
-    seated = SeatContext(person, seat, seat.default, cabin)
-    assert person.outfit.bottom not in ("long_skirt", "dress")
-    crossed = []
-    for place in (PLACES[name], PLACES["ear"]):
-        monkeypatch.setitem(ACTIONS._loaded, "both", Action("both", place, place, Gaze((0.0, 1.0), (0.0, 1.0))))
-        drawn = [draw_pose(seated, Doing("both"), rng=np.random.default_rng(seed)) for seed in range(4)]
-        crossed.append([who.sitter.crossed for who in drawn])
-    assert crossed == [[False] * 4, [True] * 4]
-
-
-@pytest.mark.parametrize("bottom", ["long_skirt", "dress"])
-def test_nobody_crosses_thighs_in_cloth_that_spans_both(bottom: Bottom, person: Person, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(legs, "STANCES", {"thighs crossed": STANCES["thighs crossed"]})
-    seat, cabin = build_cabin("suv").seats["front_passenger"], build_cabin("suv")
-    monkeypatch.setitem(ACTIONS._loaded, "both", Action("both", PLACES["ear"], PLACES["ear"], Gaze((0.0, 1.0), (0.0, 1.0))))
-    crossed = []
-    for worn in (bottom, "trousers"):
-        dressed = person.redressed(replace(person.outfit, bottom=worn))
-        seated = SeatContext(dressed, seat, seat.default, cabin)
-        crossed.append(draw_pose(seated, Doing("both"), rng=np.random.default_rng(0)).sitter.crossed)
-    assert crossed == [False, True]

@@ -27,14 +27,8 @@ _TOE_OUT = np.radians(7.0)
 _ON_PEDAL = np.array([5.0, 4.0, 5.0, 0.1, 0.05, 0.02])  # the sole leans off a pad rather than the ankle bends to its limit
 _STANDING = np.array([1.5, 1.5, 6.0, 0.4, 0.4, 0.15])
 _HANGING = np.array([0.6, 0.6, 0.6, 0.02, 0.02, 0.02])
-_ON_THIGH = np.array([2.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.002, 0.03])  # 1/rad, of departing from the comfortable leg
 _PEDAL_LEG_STIFFNESS = np.array([0.004, 0.02, 0.02, 0.0005, 0.03, 0.03])  # an ankle that is not bent to its limit
-_OVER_STIFFNESS = np.array([0.02, 0.02, 0.04, 0.04, 0.03, 0.03])  # where no foot says how the leg hangs
-_OVER_LEG = np.radians((112.0, -26.0, -10.0, 75.0, -15.0, 0.0))
-# Of the knee of a leg over the other one, in lengths of that thigh; of its axis over the skin there, in that thigh's upper half
-# (assumed).
-_OVER_ALONG, _PAST_KNEE, _OVER_THIGH = 0.95, 0.08, 2.1
 _FREE_KNEE = np.radians((75.0, 7.0, -4.0, 75.0, -5.0, 0.0))
 _PEDAL_KNEE = np.radians((70.0, 9.0, -5.0, 60.0, 5.0, 0.0))
 _KNEE_OUT = np.array((0.0, 1.0, -0.7, 0.0, 0.0, 0.0))  # abduction, and the rotation that keeps the foot in its place (assumed)
@@ -60,7 +54,7 @@ class FootPlan(NamedTuple):
 
     forward: m, from where it would rest · out: m, to the side of the hip · toe_out: rad · knee_out: rad, by which the comfortable
     thigh turns out · lean: rad, how far back a shin may lean before the knee rises from the cushion instead · across: m, how far
-    an ankle is past the body's middle, None where legs are not crossed there · over: whether the leg lies over the other one.
+    an ankle is past the body's middle, None where legs are not crossed.
     """
 
     pedal: str | None = None
@@ -70,14 +64,13 @@ class FootPlan(NamedTuple):
     knee_out: float = 0.0
     lean: float = _SHIN_LEAN
     across: float | None = None
-    over: bool = False
 
 
 class FootGoal(NamedTuple):
-    """Where a foot goes: bone_from_tool and base_from_target (4, 4), weights (6,), the comfortable leg (6,) rad.
+    """Where a foot goes: foot_from_tool and vehicle_from_target (4, 4), weights (6,), the comfortable leg (6,) rad.
 
-    must: a foot that misses its place by more than `MISS_M` makes the pose impossible · bone, base: of its leg, and of the other
-    one, "" for the vehicle · stiffness: (6,) 1/rad, of departing from the comfortable leg.
+    must: a foot that misses its place by more than `MISS_M` makes the pose impossible · stiffness: (6,) 1/rad, of departing from
+    the comfortable leg.
     """
 
     tool: Matrix
@@ -85,8 +78,6 @@ class FootGoal(NamedTuple):
     weight: Floats
     prior: Floats
     must: bool
-    bone: str = "foot"
-    base: str = ""
     stiffness: Floats = LEG_STIFFNESS
 
 
@@ -177,15 +168,6 @@ def _between(y: float, side: int, room: tuple[float, float]) -> float:
     return max(y, _SHOE_M - right) if side == 0 else min(y, left - _SHOE_M)
 
 
-def _over_other(seated: SeatContext, side: int) -> FootGoal:
-    """A leg whose knee lies over and past the other leg's, its shin hanging beside that."""
-    fit, s, femur = seated.fit, 1.0 - 2.0 * side, seated.person.segment_lengths["thigh"]
-    top = float(np.interp(_OVER_ALONG, np.linspace(0.0, 1.0, len(fit.thigh_top)), fit.thigh_top))
-    place = ((1.0 + _OVER_THIGH) * top, -s * _PAST_KNEE * femur, -_OVER_ALONG * femur)
-    base = "rl"[side] + "thigh"
-    return FootGoal(np.eye(4), transform(None, place), _ON_THIGH, _OVER_LEG, False, "shank", base, _OVER_STIFFNESS)
-
-
 def foot_goals(seated: SeatContext, root: Matrix, plans: tuple[FootPlan, FootPlan]) -> tuple[FootGoal, FootGoal]:
     """Goals of both feet.
 
@@ -202,8 +184,6 @@ def foot_goals(seated: SeatContext, root: Matrix, plans: tuple[FootPlan, FootPla
     for side, plan in enumerate(plans):
         if plan.pedal is not None:
             result.append(_on_pedal(seated.person, side, seated.cabin.pedals[plan.pedal], seated.seat.floor_z, plan))
-        elif plan.over:
-            result.append(_over_other(seated, side))
         elif drives(seated.seat, seated.cabin):
             result.append(_beside_pedals(seated, side, plan))
         else:

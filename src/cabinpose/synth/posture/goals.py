@@ -70,13 +70,12 @@ def sitter(trunk: Trunk, hands: tuple[HandGoal, HandGoal], feet: tuple[FootGoal,
     for side, foot in enumerate(feet):
         leg = slice(_LEG[side], _LEG[side] + 6)
         q[leg], stiffness[leg] = foot.prior, foot.stiffness
-        rows.append(("lr"[side] + foot.bone, foot.tool, foot.base, foot.target, foot.weight))
+        rows.append(("lr"[side] + "foot", foot.tool, "", foot.target, foot.weight))
     rows.append(("head", np.eye(4), "", head, _ON_GAZE))
     q = np.clip(q, LOWER, UPPER)
     goals = Goals(q, stiffness, LOWER, UPPER, trunk.root, _ROOT_WEIGHT, *_arrays(rows))
     holds = hands[0].holds_wheel, hands[1].holds_wheel
     middle, crossed = float(seat.design_h_point[1]), _crossed(trunk.root, feet[0].target, feet[1].target)
-    crossed = crossed or any(foot.base for foot in feet)
     return Sitter(person, seat.slot, goals, q.copy(), trunk.root.copy(), holds, middle=middle, crossed=crossed)
 
 
@@ -123,16 +122,13 @@ def staying(chosen: Sitter, q: Floats, root: Matrix, side: int, holds: tuple[boo
     posed = chosen.person.pose(q, root)
     q[grip] = chosen.q[grip]
     posture, stiffness, target, weight = (v.copy() for v in (q, goals.stiffness, goals.target, goals.weight))
-    base, bone, tool = goals.base.copy(), goals.bone.copy(), goals.tool.copy()
+    base = goals.base.copy()
     posture[mine : mine + 7] = goals.posture[mine : mine + 7]
     for row, place in ((1 - side, posed.palms["rl"[side]]), (2, posed.soles["l"]), (3, posed.soles["r"])):
         target[row], weight[row], base[row] = place, _STAYS, -1
-    for row, foot in ((2, "l"), (3, "r")):  # also of a leg that lies over the other one
-        bone[row], tool[row] = BONE_INDEX[foot + "foot"], chosen.person.rest.soles["lr".index(foot)]
     for first, count in ((_ARM[1 - side], 7), (_LEG[0], 6), (_LEG[1], 6)):
         stiffness[first : first + count] = _HELD_LIMB
     goals = goals._replace(posture=posture, stiffness=stiffness, root=root, target=target, weight=weight, base=base)
-    goals = goals._replace(bone=bone, tool=tool)
     stay = holds[0] and side != 0, holds[1] and side != 1
     return chosen._replace(goals=goals, q=q, root=root.copy(), holds=stay)
 

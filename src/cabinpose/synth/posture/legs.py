@@ -25,15 +25,13 @@ _CLOSER_M, _KNEE_IN, _KNEE_OUT = 0.01, math.radians(3.0), math.radians(1.0)
 
 class LegStance(NamedTuple):
     """How a passenger's feet stand. share: of passengers with room for it · leans: rad, the farthest of the shin of the one foot
-    and of the other · forward: m, of each from where it would rest · across: m, of each past the middle, None: not crossed
-    there · over: whether the other leg lies over the first one.
+    and of the other · forward: m, of each from where it would rest · across: m, of each past the middle, None: not crossed.
     """
 
     share: float
     leans: tuple[float, float]
     forward: tuple[float, float] = (0.0, 0.0)
     across: float | None = None
-    over: bool = False
 
 
 _BACK = math.radians(21.0)
@@ -41,18 +39,16 @@ _BACK = math.radians(21.0)
 # than find room; how both divide is assumed.
 STANCES: Mapping[str, LegStance] = MappingProxyType(
     {
-        "resting": LegStance(0.47, (_ON_CUSHION, _ON_CUSHION)),
+        "resting": LegStance(0.49, (_ON_CUSHION, _ON_CUSHION)),
         "drawn back": LegStance(0.14, (_BACK, _BACK)),
         "one drawn back": LegStance(0.15, (_BACK, _ON_CUSHION)),
         "one stretched": LegStance(0.11, (_ON_CUSHION, _ON_CUSHION), (0.07, -0.07)),
-        "ankles crossed": LegStance(0.07, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
-        "thighs crossed": LegStance(0.06, (_ON_CUSHION, _ON_CUSHION), over=True),
+        "ankles crossed": LegStance(0.11, (_ON_CUSHION, math.radians(30.0)), (0.02, -0.08), 0.05),
     }
 )
-_ROOMY = frozenset({"ankles crossed", "thighs crossed"})  # not behind another seat, nor beside or opposite somebody
+_ROOMY = frozenset({"ankles crossed"})  # not behind another seat, nor beside or opposite somebody
 _APART, _TOGETHER = 0.20, 0.15  # shares of knees apart and of knees together (assumed)
 _KNEES_APART_M, _KNEES_TOGETHER_M = 0.05, 0.03
-_UNDER_OTHER_M = 0.09  # to the middle, of the foot of a leg that lies below the other one
 _FORWARD_SIGMA_M, _OUT_SIGMA_M, _BOTH_SIGMA_M = 0.030, 0.014, 0.02
 _KNEE_SIGMA, _TOE_SIGMA = math.radians(6.0), math.radians(4.0)
 # Drivers (assumed): shares of the foot on the brake, of the left one on the floor, on the clutch, of a left knee that leans out.
@@ -86,24 +82,17 @@ def leg_plans(seated: SeatContext, *, rng: np.random.Generator) -> tuple[FootPla
             FootPlan(
                 None,
                 both + stance.forward[turn] + _FORWARD_SIGMA_M * float(draws[side, 0]),
-                (-_UNDER_OTHER_M if stance.over else apart) + _OUT_SIGMA_M * float(draws[side, 1]),
+                apart + _OUT_SIGMA_M * float(draws[side, 1]),
                 math.radians(7.0) + _TOE_SIGMA * float(draws[side, 1]),
                 _KNEE_SIGMA * float(knees[side]),
                 stance.leans[turn],
                 stance.across,
-                stance.over and turn == 1,
             )
         )
     if seated.on is None:
         return plans[0], plans[1]
     rests = seated.on.thing.sitting is not None and not seated.on.thing.sitting.harness
     return _hanging(plans[0], rests), _hanging(plans[1], rests)
-
-
-def uncrossed(plans: tuple[FootPlan, FootPlan]) -> tuple[FootPlan, FootPlan]:
-    """The same legs beside each other, neither over the other one."""
-    left, right = (plan._replace(out=0.0, over=False) for plan in plans)
-    return left, right
 
 
 def _legs(seated: SeatContext, chance: float) -> LegStance:

@@ -185,10 +185,6 @@ class HandPlace:
         """
         return at.resting_fingers(noise, self.shapes) if self.shapes else at.BY_GRIP
 
-    def on_thigh(self, hand: Hand) -> bool:
-        """Whether a hand there, or what is in it, takes the room over its own thigh."""
-        return self.carried_by.endswith("thigh")
-
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         """The target of the palm of a hand (0 left, 1 right), for the trunk as it is now."""
         raise NotImplementedError
@@ -467,9 +463,6 @@ class _Reach(HandPlace):
 
     def reach(self, seated: SeatContext, target: Floats | None, given: Reach | None, noise: Noise) -> Reach | None:
         return given if target is None else Reach(target + _REACHED_SIGMA_M * np.array(noise), touched=True)
-
-    def on_thigh(self, hand: Hand) -> bool:
-        return hand.reach is None
 
     def task(self, trunk: Trunk, hand: Hand, side: int) -> LimbTask:
         if hand.reach is None:

@@ -24,7 +24,7 @@ from cabinpose.synth.posture.gaze import head_goal
 from cabinpose.synth.posture.goals import TASKS, HandGoal, as_recorded, at_goals, sitter
 from cabinpose.synth.posture.grasps import Hold, inboard_hand
 from cabinpose.synth.posture.intents import carrying, holding, intents, with_fingers
-from cabinpose.synth.posture.legs import leg_plans, uncrossed
+from cabinpose.synth.posture.legs import leg_plans
 from cabinpose.synth.posture.neighbours import NOBODY, Neighbours
 from cabinpose.synth.posture.places import Hand, Reach
 from cabinpose.synth.posture.solver import Sitter, solve
@@ -37,7 +37,6 @@ _GRIP_SIGMA = 0.025
 _SLUMPED = 3.0  # of a loin's small spread: how people differ, from upright to slumped (assumed)
 _ARM_JITTER = np.radians((5.0, 5.0, 6.0, 5.0, 8.0, 4.0, 3.0))  # of the comfortable arm, so that elbows differ
 _HELD_GRIP = 0.5  # stands for the fingers of a hand that holds something: each has a curl of its own
-_SPANNING = ("long_skirt", "dress")  # between the thighs of who sits
 _RECORDED = 0.3  # 1/rad, of departing from a recording's upper body
 
 
@@ -182,11 +181,7 @@ def draw_pose(seated: SeatContext, doing: Doing, prescribed: Prescribed = UNPRES
     root = seated.vehicle_from_root(drawn_angle(action.pelvis, rng=rng))
     comfort = rng.standard_normal((2, 7)) * _ARM_JITTER
     side_sign = _busy_side(action, inboard, rng)  # + left
-    plans = leg_plans(seated, rng=rng)
-    lower = [hands[1 - side] for side, plan in enumerate(plans) if plan.over]
-    if lower and (seated.person.outfit.bottom in _SPANNING or lower[0].place.on_thigh(lower[0])):
-        plans = uncrossed(plans)  # a hand on the lower thigh would lie between the two, and a long skirt does not follow them
-    feet = foot_goals(seated, root, plans)
+    feet = foot_goals(seated, root, leg_plans(seated, rng=rng))
     q, slumped = seated.fit.q.copy(), _SLUMPED if seated.on is None else 1.0
     slump = _move_trunk(q, action, side_sign, slumped, rng)
     if seated.on is None:  # a child seat's back leaves no room for it
