@@ -13,7 +13,8 @@ from cabinpose.scene.body.sheets import Accessory, Cloud, Draped, drape
 
 _ROUND = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
 _DOWN = np.array((0.25, 0.6, 1.0))[:, None]  # of a collar's leaf: rows from its fold to its end
-_RISE, _LEVELS = 0.75, 10  # of rays beside the neck; heights at which a leaf is draped
+_RISE, _LEVELS = 0.75, 7  # of rays beside the neck; heights at which a leaf is draped
+_NEAR_M = 0.16  # of the neck's root, forwards, aside and up: no leaf reaches as far
 _OVER_SCARF_M = 0.018  # of the skin of a neck, behind, over the middle of the upper turn of a scarf
 
 
@@ -97,7 +98,8 @@ def _leaf(neck: Neck, angle: Floats, fold: Floats, height: Floats, length: Float
     origin = neck.root + low[..., None] * neck.tilted
     origin[..., 2] -= rise * hangs
     direction = np.concatenate([across, rise[:, None]], axis=1) + np.zeros(origin.shape)
-    made = drape(neck.cloud, origin, direction, ball=0.014 * neck.size, off=0.006 * neck.size, sweeps=2, closed=False)
+    near = neck.cloud.where((np.abs(neck.cloud.points - neck.root) < _NEAR_M * neck.size).all(axis=1))  # others cost time alone
+    made = drape(near, origin, direction, ball=0.014 * neck.size, off=0.006 * neck.size, sweeps=2, closed=False)
     lies = np.einsum("ijk,ijk->ij", made.points - origin, made.outwards)
     hangs = hangs * rp.power(1.0 + rise * rise, 0.5)
     line = np.concatenate([fold[None], origin + made.outwards * np.maximum(hangs, lies)[..., None]])
