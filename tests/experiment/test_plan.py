@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -22,9 +23,10 @@ from cabinpose.app.experiment.config import (
     merged,
     packaged,
 )
-from cabinpose.app.experiment.frames import wanted_frames
+from cabinpose.app.experiment.frames import contents, wanted_frames
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
 from cabinpose.app.experiment.results import frames_of
+from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.core.errors import ConfigError
 from cabinpose.store import validated
 
@@ -53,6 +55,26 @@ def test_the_series_have_the_thesis_numbers_of_frames(name: str, tmp_path: Path)
     assert {test: cells[0].frame_count for (_, test), cells in plan.tested.items()} == TESTED[name]
     validated = {row: sum(source.frames for source in plan.trained[row][0].validation) for row in VALIDATED[name]}
     assert validated == VALIDATED[name]
+
+
+@pytest.mark.parametrize("name", [*packaged()])
+def test_one_car_is_one_for_everybody_and_no_seed_is_used_twice(name: str, tmp_path: Path) -> None:
+    plan = planned(name, "paper", tmp_path)
+    for pieces in plan.data.values():
+        if len(pieces) > 1:
+            (cars,) = {piece.cars for piece in pieces}
+            assert [seed for _, seed in cars] == [None]
+    seeds = [piece.seed for pieces in plan.data.values() for piece in pieces]
+    assert len(seeds) == len(set(seeds))
+
+
+def test_a_random_car_is_another_one_for_each_person(write: Write, tmp_path: Path) -> None:
+    file = write({"data": {"real": {"synth": {"scene": {"cars": ["C0003"]}}}}, "tests": {"T": {"may_share": []}}})
+    plan = make_plan(load(file), "paper", tmp_path, {})
+    pieces = plan.data["real"]
+    assert [set(piece.cars) for piece in pieces] == [{("C0003", 3)}, {("C0003", 4)}, {("C0003", 5)}]
+    make_cells(plan.made[:1], 1, lambda *_: None)
+    assert contents([[(pieces[0], np.arange(2))]])["car"] == pieces[0].cars
 
 
 def test_fine_tuning_has_ten_of_a_hundred_epochs(tmp_path: Path) -> None:

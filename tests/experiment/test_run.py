@@ -83,6 +83,10 @@ def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_pat
     done = run("experiment", "run", write({"trainings": everybody, "tests": tests}), *words)
     assert (done.code, "share the frame" in done.err) == (2, True), done.err
     assert not list((tmp_path / "more").rglob("last.ckpt"))
+    repeated = write({"trainings": everybody, "tests": tests, "scales": {"paper": {"repeats": 2}}})
+    for only in ("R1.1", "R1.2"):
+        done = run("experiment", "run", repeated, *words, "--only", only)
+        assert (done.code, "share the frame" in done.err) == (2, True), done.err
 
 
 def test_rooms_and_cars_are_mixed_and_so_are_kinds_of_depth(write: Write, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,11 +20,11 @@ from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameS
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
 from cabinpose.store import dataset_id, frame_mask, open_dataset, read_manifest
-from cabinpose.synth import CabinScene, SynthConfig
+from cabinpose.synth import CabinScene, SynthConfig, is_random_car
 
 Identity = tuple[str, int | None]
 """A person, or a car, by name; with the seed of their dataset where it drew them at random."""
-_RANDOM_CAR = re.compile(r"(C\d{4,}|room_\d+)")
+_ROOM = "room_"  # the names of rooms, which are drawn at random, begin so
 _DRAW = 39  # seed of the order in which frames are drawn: of the same selection, more frames are the same ones and others
 
 
@@ -71,13 +70,18 @@ class SelectedFrames:
     @property
     def cars(self) -> set[Identity]:
         """Which cars may be in the frames."""
-        return {car for piece in self.pieces for car in piece.cars if not self.part.car or car[0] in self.part.car}
+        return {car for piece in self._asked for car in piece.cars if not self.part.car or car[0] in self.part.car}
 
     @property
     def most(self) -> int:
         """No selection can have more frames than this; of a user's folder just as many."""
+        return sum(piece.frames for piece in self._asked)
+
+    @property
+    def _asked(self) -> list[DatasetPiece]:
+        """The pieces that may have frames of the subjects."""
         wanted = self.part.subject
-        return sum(p.frames for p in self.pieces if not wanted or any(name in wanted for name, _ in p.people))
+        return [piece for piece in self.pieces if not wanted or any(name in wanted for name, _ in piece.people)]
 
     @property
     def frames(self) -> int:
@@ -194,17 +198,22 @@ def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path)
     crowd = {(f"R{number:04d}", seed) for number in range(people.random.count if people.random else 0)}
     cars: set[Identity] = set()
     if isinstance(config.scene, CabinScene):
-        cars = {(car if isinstance(car, str) else str(getattr(car, "name", "")), None) for car in config.scene.cars}
+        cars = {_car(car if isinstance(car, str) else car.name, seed) for car in config.scene.cars}
         cars |= {(f"C{number:04d}", seed) for number in range(config.scene.random_cars)}
     return DatasetPiece(
         name, out / "data" / key, key, frames, frozenset(named | crowd), frozenset(cars), text, seed
     )  # fmt: skip
 
 
+def _car(name: str, seed: int) -> Identity:
+    """A car or a room of a dataset of a seed."""
+    return name, seed if is_random_car(name) or name.startswith(_ROOM) else None
+
+
 def _cars(dataset: xr.Dataset) -> set[Identity]:
     """The cars, and rooms, of frames."""
     pairs = set(zip(dataset["car"].values.astype(str).tolist(), dataset["seed"].values.tolist(), strict=True))
-    return {(name, int(seed) if _RANDOM_CAR.fullmatch(name) else None) for name, seed in pairs if name}
+    return {_car(name, int(seed)) for name, seed in pairs if name}
 
 
 def check_subjects(source: SelectedFrames, where: str) -> None:

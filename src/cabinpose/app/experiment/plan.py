@@ -81,8 +81,8 @@ class ExperimentPlan:
         keys = {cell.key for cell in cells}
         seen: dict[str, Any] = {}
         for (row, test), cells_of in self.tested.items():
-            cell = cells_of[0]
-            if cell.key not in keys:
+            cell = next((each for each in cells_of if each.key in keys), None)  # repeats have the same frames
+            if cell is None:
                 continue
             trained = [cell.trained, *filter(None, [cell.trained.begins])]
             if test not in seen:
