@@ -86,7 +86,7 @@ def test_fine_tuning_has_ten_of_a_hundred_epochs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [*packaged()])
-@pytest.mark.parametrize("scale", ["small", "paper", "0.37"])
+@pytest.mark.parametrize("scale", ["small", "paper", "0.37", "1.04"])
 def test_every_file_has_the_frames_that_it_draws(name: str, scale: str, tmp_path: Path) -> None:
     plan = planned(name, scale, tmp_path)
     for data, wanted in wanted_frames(plan.experiment, plan.scale).items():
@@ -155,6 +155,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         {"trainings": {"R1": {"train": [{"data": "real", "subject": ["P1"], "frames": 5}]}}},
         "training R1: 5 frames of real are asked for, and the selection has 4", "ask for at most 4",
     ),
+    "too few frames to learn from and to validate on": (
+        {"trainings": {"R1": {"validation": [{"data": "real", "subject": ["P1"], "frames": 1}], "may_share": ["subject"]}}},
+        "training R1 and its validation: 5 frames of real are asked for", "ask for at most 4",
+    ),
     "an unknown dataset": (
         {"trainings": {"R1": {"train": [{"data": "reel"}]}}}, "unknown dataset 'reel'", "did you mean real?",
     ),
@@ -202,6 +206,7 @@ def test_it_is_refused_before_anything_runs(what: str, write: Write, run: Run, t
         ("se1 --only R11", "unknown cell 'R11'"),
         ("se1 --data reel=x", "unknown dataset 'reel'"),
         ("se1 --data real", "--data real names no folder"),
+        ("se1 --resamples -1", "cannot draw -1 resamples"),
         ("se1 --workers 0", "cannot work with 0 workers"),
         ("se1 --workers 2 --scheduler tcp://x:1", "--workers are processes of this machine"),
     ],

@@ -136,6 +136,7 @@ def _run(command: RunExperiment) -> None:
         )
     if command.workers is not None and command.workers < 1:
         raise ConfigError(f"cannot work with {command.workers} workers", hint="ask for at least 1 worker")
+    _check_resamples(command.resamples)
     require("train")
     plan, asked = _planned(command.name, command.scale, command.data, command.out)
     cells = plan.chosen(command.only)
@@ -182,6 +183,11 @@ def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[E
         "data": {key: str(folder.resolve()) for key, folder in given.items()},
     }  # fmt: skip
     return make_plan(experiment, scale, out.resolve(), given), asked
+
+
+def _check_resamples(resamples: int) -> None:
+    if resamples < 0:
+        raise ConfigError(f"cannot draw {resamples} resamples", hint="ask for some hundred, or for 0: no intervals")
 
 
 def _tell(folder: Path) -> None:
@@ -240,6 +246,7 @@ def _report(command: Remake) -> None:
     from cabinpose.app.experiment.results import results_of
     from cabinpose.store import read_mapping, validated
 
+    _check_resamples(command.resamples)
     file = command.folder / PLAN
     if not file.exists():
         raise ConfigError(

@@ -135,7 +135,7 @@ class TrainCell(ExperimentCell):
             judged.append(draw(source, judged, f"validation of {self.name}", whole_sequences=True))
         learnt: list[Drawn] = []
         for source in self.train:
-            learnt.append(draw(source, [*judged, *learnt], f"training of {self.name}"))
+            learnt.append(draw(source, [*judged, *learnt], f"training of {self.name}", apart=judged))
         return learnt, judged
 
     def model(self) -> Path:

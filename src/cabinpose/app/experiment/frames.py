@@ -20,7 +20,7 @@ from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameS
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
 from cabinpose.store import dataset_id, frame_mask, open_dataset, read_manifest
-from cabinpose.synth import CabinScene, SynthConfig, is_random_car
+from cabinpose.synth import CabinScene, SequenceConfig, SynthConfig, is_random_car
 
 Identity = tuple[str, int | None]
 """A person, or a car, by name; with the seed of their dataset where it drew them at random."""
@@ -104,13 +104,32 @@ def wanted_frames(experiment: Experiment, scale: RunScale) -> dict[str, Wanted]:
     rows: list[Training | FineTuning] = [*experiment.trainings.values()]
     rows += [row.fine_tune for row in experiment.trainings.values() if row.fine_tune]
     result: dict[str, Wanted] = {name: {} for name in experiment.data}
-    for parts in [[*(*row.train, *row.validation)] for row in rows] + [[*test.frames] for test in experiment.tests.values()]:
-        counts: Counter[tuple[str, tuple[str, ...]]] = Counter()
-        for part in parts:
-            counts[part.data, part.subject] += scale.count(part.frames, part.scaled) if part.frames else 0
-        for (name, subjects), count in counts.items():
+    for learnt, judged in [(row.train, row.validation) for row in rows] + [(t.frames, ()) for t in experiment.tests.values()]:
+        for (name, subjects), count in needed(experiment, scale, learnt, judged).items():
             result[name][subjects] = max(result[name].get(subjects, 0), count)
     return result
+
+
+def needed(
+    experiment: Experiment, scale: RunScale, learnt: Iterable[FrameSelection], judged: Iterable[FrameSelection]
+) -> dict[tuple[str, tuple[str, ...]], int]:
+    """How many frames a training takes of each dataset and its subjects, with the rest of a sequence that its validation cuts."""
+    counts: Counter[tuple[str, tuple[str, ...]]] = Counter()
+    for part in learnt:
+        counts[part.data, part.subject] += scale.count(part.frames, part.scaled) if part.frames else 0
+    for part in judged:
+        if part.frames:
+            left = _sequence_frames(experiment.data[part.data]) - 1 if (part.data, part.subject) in counts else 0
+            counts[part.data, part.subject] += scale.count(part.frames, part.scaled) + left
+    return dict(counts)
+
+
+def _sequence_frames(data: Data) -> int:
+    """Frames of a stand-in's sequences; 1: single ones, or not known."""
+    scene = (data.synth or {}).get("scene")
+    sequence = scene.get("sequence") if isinstance(scene, Mapping) else None
+    frames = sequence.get("frames", SequenceConfig.model_fields["frames"].default) if isinstance(sequence, Mapping) else 1
+    return frames if isinstance(frames, int) else 1
 
 
 def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Path | None, out: Path) -> tuple[DatasetPiece, ...]:
@@ -142,7 +161,7 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
     plain, counts = dict(data.synth or {}), data.frames
     if isinstance(counts, Mapping):
         scaled = {subject: scale.count(frames) for subject, frames in counts.items()}
-        if scale.frames < 1.0:
+        if scale.frames != 1.0:
             for subjects, count in wanted.items():
                 who = [subject for subject in scaled if not subjects or subject in subjects]
                 if count > sum(scaled[subject] for subject in who):
@@ -151,7 +170,7 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
             _stand_in(f"{name}/{subject}", _of_subject(name, data, subject), frames, data.seed + number, out)
             for number, (subject, frames) in enumerate(scaled.items())
         )
-    most = max(wanted.values(), default=0) if scale.frames < 1.0 else 0
+    most = max(wanted.values(), default=0) if scale.frames != 1.0 else 0
     config = _parsed(name, plain)
     scene = config.scene
     if counts is None and isinstance(scene, CabinScene) and scene.factorial is not None:
@@ -237,7 +256,14 @@ def _too_few(where: str, part: FrameSelection, there: int) -> ConfigError:
     )
 
 
-def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_sequences: bool = False) -> Drawn:
+def _origin(piece: DatasetPiece, dataset: xr.Dataset) -> str:
+    """Equal where frames of one number are the same frame, however many were made and wherever a copy lies."""
+    return str(dataset.attrs["frames_id"] or piece.folder)
+
+
+def draw(
+    source: SelectedFrames, taken: Sequence[Drawn], where: str, *, apart: Sequence[Drawn] = (), whole_sequences: bool = False
+) -> Drawn:
     """The frames that a part draws: in an order that depends on the selection alone, without those that others have taken.
 
     Parameters
@@ -246,10 +272,13 @@ def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_se
         The part; its folders are there.
     taken
         What others drew.
+    apart
+        What others drew whose sequences are left alone as a whole: the rest of one that they cut shows the same as their frames.
     where
         What errors call it.
     whole_sequences
-        Draw one sequence after the other, for frames that shall not be neighbours of others.
+        Draw one sequence after the other, and of a single one what stands together, for frames that shall not be neighbours of
+        others.
 
     Raises
     ------
@@ -258,18 +287,16 @@ def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_se
     DatasetError
         For a value that the dataset does not have.
     """
-    numbers, positions, sequences = [], [], []
-    for number, piece in enumerate(source.pieces):
-        dataset = open_dataset(piece.folder)
-        free = _selected(dataset, source, where)
-        for other in taken:
-            for other_piece, frames in other:
-                if other_piece.folder == piece.folder:
-                    free[frames] = False
+    numbers, positions, sequences, moving = [], [], [], False
+    datasets = [open_dataset(piece.folder) for piece in source.pieces]
+    _refuse_unknown(datasets, source.part, where)
+    for number, (piece, dataset) in enumerate(zip(source.pieces, datasets, strict=True)):
+        free = _selected(dataset, source) & ~_taken(piece, dataset, taken, apart)
         at = np.flatnonzero(free)
         numbers.append(np.full(len(at), number))
         positions.append(at)
         sequences.append(dataset["sequence"].values[at])
+        moving |= len(np.unique(dataset["sync_ns"])) > 1  # single frames are of no time
     of, at, sequence = (np.concatenate(each) for each in (numbers, positions, sequences))
     if not len(at):
         raise ConfigError(
@@ -281,27 +308,49 @@ def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_se
     order = rng.permutation(len(at))
     if whole_sequences:
         _, group = np.unique(np.stack((of, sequence)), axis=1, return_inverse=True)
-        many = group.max() > of.max()  # single frames are all of one sequence
+        many = group.max() > of.max() or moving  # single frames are all of one sequence
         order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable") if many else order[::-1]
     chosen = order[: source.part.frames]
     return [(source.pieces[n], np.sort(at[chosen[of[chosen] == n]])) for n in np.unique(of[chosen]).tolist()]
 
 
-def _selected(dataset: xr.Dataset, source: SelectedFrames, where: str) -> NDArray[np.bool_]:
+def _taken(piece: DatasetPiece, dataset: xr.Dataset, taken: Sequence[Drawn], apart: Sequence[Drawn]) -> NDArray[np.bool_]:
+    """(frame,) whether others have a frame, or one of its sequence where these are left alone."""
+    origin, numbers, sequences = _origin(piece, dataset), dataset["frame"].values, dataset["sequence"].values
+    result = np.zeros(len(numbers), bool)
+    several = len(np.unique(sequences)) > 1  # single frames are all of one sequence
+    for others, whole in ((taken, False), (apart, several)):
+        for other, positions in (each for one in others for each in one):
+            there = open_dataset(other.folder)
+            if _origin(other, there) == origin:
+                name, values = ("sequence", sequences) if whole else ("frame", numbers)
+                result |= np.isin(values, there[name].values[positions])
+    return result
+
+
+def _selected(dataset: xr.Dataset, source: SelectedFrames) -> NDArray[np.bool_]:
     """(frame,) whether a frame of a piece belongs to the selection; values that only other pieces have select nothing here."""
     selection = {}
     for name, wanted in source.part.selection.items():
-        there = set(dataset[name].values.ravel().tolist())
-        known = tuple(value for value in wanted if value in there)
-        if not known and len(source.pieces) == 1:
-            known = wanted  # is refused by name
-        if not known:
+        there = _values(dataset, name)
+        selection[name] = tuple(value for value in wanted if value in there)
+        if not selection[name]:
             return np.zeros(dataset.sizes["frame"], bool)
-        selection[name] = known
-    try:
-        return frame_mask(dataset, selection)
-    except DatasetError as error:
-        raise DatasetError(f"{where}: {error}", hint=error.hint) from error
+    return frame_mask(dataset, selection)
+
+
+def _values(dataset: xr.Dataset, name: str) -> set[Any]:
+    return set(dataset[name].values.ravel().tolist()) - {""}
+
+
+def _refuse_unknown(datasets: Sequence[xr.Dataset], part: FrameSelection, where: str) -> None:
+    """Raise DatasetError for a value of the selection that no piece has."""
+    for name, wanted in part.selection.items():
+        there = set().union(*(_values(dataset, name) for dataset in datasets))
+        if unknown := [value for value in wanted if value not in there]:
+            raise DatasetError(
+                f"{where}: {part.data} has no {name} {unknown[0]!r}", hint=f"it has: {', '.join(map(str, sorted(there)))}"
+            )
 
 
 def opened(part: FrameSelection, drawn: Drawn) -> dict[str, xr.Dataset]:
@@ -336,6 +385,6 @@ def contents(drawn: Iterable[Drawn]) -> dict[str, set[Any]]:
         found["subject"] |= individuals(some)
         found["car"] |= _cars(some)
         if len(np.unique(whole["sequence"])) > 1:
-            found["sequence"] |= {(str(piece.folder), int(each)) for each in np.unique(some["sequence"])}
-        found["frame"] |= {(str(piece.folder), int(each)) for each in positions}
+            found["sequence"] |= {(_origin(piece, whole), int(each)) for each in np.unique(some["sequence"])}
+        found["frame"] |= {(_origin(piece, whole), int(each)) for each in some["frame"]}
     return found

@@ -11,10 +11,13 @@ from cabinpose.app.experiment.cells import DataCell, ExperimentCell, TestCell, T
 from cabinpose.app.experiment.config import Experiment, FrameSelection, RunScale, Training, merged
 from cabinpose.app.experiment.frames import (
     DatasetPiece,
+    Drawn,
     SelectedFrames,
     check_subjects,
     contents,
     digest,
+    needed,
+    opened,
     pieces_of,
     wanted_frames,
 )
@@ -77,7 +80,10 @@ class ExperimentPlan:
         return [cell for cell in cells if cell.key in wanted]
 
     def check_frames(self, cells: Iterable[ExperimentCell]) -> None:
-        """Refuse trainings and tests, among cells whose datasets are there, by their very frames. Raises ConfigError."""
+        """Refuse trainings and tests, among cells whose datasets are there, by their very frames, places and images of depth.
+
+        Raises ConfigError, and DatasetError for what a dataset does not have.
+        """
         keys = {cell.key for cell in cells}
         seen: dict[str, Any] = {}
         for (row, test), cells_of in self.tested.items():
@@ -86,11 +92,11 @@ class ExperimentPlan:
                 continue
             trained = [cell.trained, *filter(None, [cell.trained.begins])]
             if test not in seen:
-                seen[test] = contents(cell.drawn())
+                seen[test] = _contents(cell.frames, cell.drawn())
             for each in trained:
                 if each.key not in seen:
                     learnt, judged = each.drawn()
-                    seen[each.key] = contents([*learnt, *judged])
+                    seen[each.key] = _contents([*each.train, *each.validation], [*learnt, *judged])
                 for kind, there in seen[test].items():
                     if kind not in self.experiment.tests[test].may_share:
                         _refuse_shared(kind, there & seen[each.key][kind], f"test {test}", f"training {row}")
@@ -231,6 +237,18 @@ class _Planner:
         learnt, judged = (set().union(*(self._source(part, where).people for part in side)) for side in (train, validation))
         if "subject" not in may_share:
             _refuse_shared("subject", learnt & judged, where, "its validation", "may_share: [subject] in the training")
+        for (data, subjects), count in needed(self._experiment, self._scale, train, validation).items():
+            pieces = self._data[data]
+            if count and all(piece.config for piece in pieces):  # of folders the frames are counted
+                whole = SelectedFrames(FrameSelection(data=data, subject=subjects, frames=count), pieces)
+                check_subjects(whole, f"{where} and its validation")
+
+
+def _contents(sources: Iterable[SelectedFrames], drawn: Sequence[Drawn]) -> dict[str, set[Any]]:
+    """What is in the frames of some parts, which can be opened as these say."""
+    for source, frames in zip(sources, drawn, strict=True):
+        opened(source.part, frames)
+    return contents(drawn)
 
 
 def _made(sources: Iterable[SelectedFrames]) -> list[str]:
