@@ -183,6 +183,22 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "column A: iou is not measured of joints",
         "iou or person_iou of parts",
     ),
+    "two columns of one title": (
+        {"columns": [{"title": "A", "test": "T"}, {"title": "A", "test": "T", "measure": "auc"}], "published": None},
+        "columns: 'A' and 'A' are one name", "call one of them otherwise",
+    ),
+    "two tests of one picture": (
+        {"tests": {"a b": {"frames": [{"data": "real", "subject": ["P3"]}]}, "A-b": {"frames": [{"data": "real"}]}}},
+        "tests: 'a b' and 'A-b' are one name", "call one of them otherwise",
+    ),
+    "pck of no threshold": (
+        {"columns": [{"title": "A", "test": "T", "measure": "pck"}], "published": None},
+        "column A: pck is within a threshold", "threshold: 10 of px",
+    ),
+    "a threshold of what has none": (
+        {"columns": [{"title": "A", "test": "T", "measure": "auc", "threshold": 0.2}], "published": None},
+        "column A: auc has no threshold", "leave threshold out",
+    ),
     "two sources of a dataset": ({"data": {"real": {"folder": "x"}}}, "a folder or a stand-in", "one of folder and synth"),
 }  # fmt: skip
 

@@ -102,8 +102,16 @@ class TableColumn(Keys):
     test: str = Field(description="Name of a test.")
     measure: Measure = Field("pckh", description="What is measured.")
     space: Literal["2d", "3d"] = Field("2d", description="In px or in m.")
-    threshold: float = Field(0.5, gt=0, description="Of pckh in head sizes, of pck in px or m.")
+    threshold: float | None = Field(None, gt=0, description="Of pckh in head sizes, 0.5 if left out; of pck in px or m.")
     joints: str = Field("All", description="All, a group of joints, or a joint.")
+
+    @model_validator(mode="after")
+    def _threshold(self) -> Self:
+        if self.measure == "pck" and self.threshold is None:
+            raise ConfigError(f"column {self.title}: pck is within a threshold", hint="give threshold: 10 of px, 0.1 of m")
+        if self.measure not in ("pck", "pckh") and self.threshold is not None:
+            raise ConfigError(f"column {self.title}: {self.measure} has no threshold", hint="leave threshold out")
+        return self
 
 
 class Curve(Keys):
@@ -149,6 +157,9 @@ class Experiment(Keys):
     @model_validator(mode="after")
     def _names(self) -> Self:
         titles = [column.title for column in self.columns]
+        _apart("columns", titles)
+        _apart("curves", [curve.title for curve in self.curves])
+        _apart("tests", list(self.tests))
         for part in self.parts:
             _known("dataset", part.data, self.data)
         for column in self.columns:
@@ -188,6 +199,21 @@ class Experiment(Keys):
         paper = self.scales["paper"]
         steps = None if paper.steps is None else max(round(paper.steps * factor), 1)
         return paper.model_copy(update={"frames": paper.frames * factor, "least": 200, "steps": steps})
+
+
+def file_name(name: str) -> str:
+    """The part of a picture's file name that a name of a file stands for."""
+    return "".join(c if c.isalnum() else "-" for c in name)
+
+
+def _apart(kind: str, names: list[str]) -> None:
+    """Raise ConfigError for two names that are one, in the table or as names of files where case does not count."""
+    told: dict[str, str] = {}
+    for name in names:
+        key = file_name(name).lower() if kind != "columns" else name
+        if key in told:
+            raise ConfigError(f"{kind}: {told[key]!r} and {name!r} are one name", hint="call one of them otherwise")
+        told[key] = name
 
 
 def _known(kind: str, name: str, names: Any) -> None:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from cabinpose.app.experiment.config import file_name
 from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
 from cabinpose.app.experiment.results import Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
 from cabinpose.app.finite import finite
@@ -37,10 +38,10 @@ def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: d
     }
     write_together(folder, files)
     for test, lines in results.accuracy.items():
-        write_png(folder / f"accuracy-{_file_name(test)}.png", [_accuracy(test, lines)], lines)
+        write_png(folder / f"accuracy-{file_name(test)}.png", [_accuracy(test, lines)], lines)
     for title, lines in results.curves.items():
         if any(xs for xs, _ in lines.values()):
-            write_png(folder / f"curve-{_file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
+            write_png(folder / f"curve-{file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
 
 
 def is_written(folder: Path, asked: dict[str, object]) -> bool:
@@ -162,7 +163,3 @@ def _frame_rows(plan: ExperimentPlan) -> list[list[str]]:
                 numbers = [sum(s.frames for s in cell.validation), cell.recipe["epochs"], steps, len(cells)]
                 rows.append([told, *map(str, counts), *map(str, numbers)])
     return rows
-
-
-def _file_name(name: str) -> str:
-    return "".join(c if c.isalnum() else "-" for c in name)

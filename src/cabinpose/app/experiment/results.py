@@ -99,7 +99,7 @@ def _number(runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], column: TableCo
     names = runs[0][1]
     chosen = None if column.joints == ALL else [names.index(j) for j in joints_of(column.joints, names)]
     return over_repeats(
-        [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold, joints=chosen,
+        [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold or 0.5, joints=chosen,
         resamples=resamples,
     )  # fmt: skip
 
