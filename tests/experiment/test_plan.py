@@ -199,6 +199,16 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         {"columns": [{"title": "A", "test": "T", "measure": "auc", "threshold": 0.2}], "published": None},
         "column A: auc has no threshold", "leave threshold out",
     ),
+    "extends what is no file": ({"extends": 5}, "extends: 5 names no file", "write extends: other"),
+    "people that are none": (
+        {"data": {"real": {"synth": {"people": [1]}}}}, "data.real/P1.synth: people", "",
+    ),
+    "own people that are none": (
+        {"data": {"real": {"synth": {"people": {"own": 5}}}}}, "data.real/P1.synth: people.own", "",
+    ),
+    "changes of people that are none": (
+        {"data": {"real": {"changes": {"P1": {"people": 5}}}}}, "data.real/P1.synth: people", "",
+    ),
     "two sources of a dataset": ({"data": {"real": {"folder": "x"}}}, "a folder or a stand-in", "one of folder and synth"),
 }  # fmt: skip
 
@@ -243,6 +253,18 @@ def test_all_files_are_listed_and_shown(run: Run, tmp_path: Path) -> None:
     assert "CPU hours expected" in shown.out.splitlines()[-1]
 
 
+def test_a_damaged_record_is_none_and_a_damaged_page_is_told(write: Write, run: Run, tmp_path: Path) -> None:
+    plan = make_plan(load(write()), "paper", tmp_path, {})
+    for cell, text in zip(plan.cells[:2], ("", "{}"), strict=True):
+        cell.folder.mkdir(parents=True)
+        (cell.folder / "cell.json").write_text(text)
+        assert not cell.done
+    assert run("experiment", "show", write(), "--scale", "paper", "--out", tmp_path).code == 0
+    (tmp_path / "experiment.json").write_text("{}")
+    done = run("experiment", "report", tmp_path)
+    assert (done.code, "does not say experiment" in done.err) == (2, True), done.err
+
+
 def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path) -> None:
     second: dict[str, Any] = {
         "R2": {"train": [{"data": "real", "subject": ["P1"], "frames": 3}], "validation": [{"data": "real", "subject": ["P2"]}]}
@@ -268,5 +290,7 @@ def test_the_page_has_a_file_of_ones_own_and_every_key() -> None:
 def test_only_what_is_named_and_what_it_needs(tmp_path: Path) -> None:
     plan = planned("se1", "small", tmp_path)
     assert [cell.name for cell in plan.chosen(["R1.2"])] == ["data real/P1", "data real/P2", "data real/P3", "R1.2", "R1.2 on S3"]
+    assert plan.chosen(["R1.2 on S3"]) == plan.chosen(["R1.2"])
+    assert all(cell in plan.chosen([cell.name]) for cell in plan.cells)
     assert [cell.name for cell in plan.chosen(["synthetic"])] == ["data synthetic"]
     assert frames_of(plan.trained["R10"][0], "synthetic") == 2520

@@ -253,6 +253,8 @@ def _report(command: Remake) -> None:
             f"{command.folder} is no folder of an experiment's page", hint="give the one that `experiment run` names"
         )
     asked = read_mapping(file, hint="run the experiment again")
+    if lacking := [key for key in ("experiment", "scale", "out", "data") if key not in asked]:
+        raise ConfigError(f"{file} does not say {lacking[0]}", hint="run the experiment again")
     experiment = validated(Experiment, asked["experiment"], file, hint="run the experiment again")
     given = {name: Path(folder) for name, folder in asked["data"].items()}
     plan = make_plan(experiment, asked["scale"], Path(asked["out"]), given)

@@ -26,6 +26,7 @@ from cabinpose.store import MANIFEST_NAME
 from cabinpose.synth import Existing, SynthConfig, generate
 
 RECORD = "cell.json"  # of a cell that is whole
+_TOLD = {"cpu_s", "wall_s", "resumed"}  # of every record
 _MODELS = ("model.onnx", "best.npz")
 
 
@@ -57,14 +58,14 @@ class ExperimentCell(ABC):
     @property
     def done(self) -> bool:
         """Whether it is there."""
-        return (self.folder / RECORD).exists()
+        return bool(self.record)
 
     @property
     def record(self) -> dict[str, Any]:
         """What it took, and what there is to be known of it; empty where it is not there or damaged."""
         with suppress(OSError, ValueError):
             found = json.loads((self.folder / RECORD).read_text("utf-8"))
-            if isinstance(found, dict):
+            if isinstance(found, dict) and _TOLD.issubset(found):
                 return found
         return {}
 

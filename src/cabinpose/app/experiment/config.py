@@ -249,12 +249,14 @@ def _mapping(path: Path, depth: int) -> dict[str, Any]:
         if isinstance(each, dict) and isinstance(each.get("folder"), str):
             each["folder"] = str(path.parent / each["folder"])
     bases = data.pop("extends", None) or []
+    if not isinstance(bases, (str, list)) or not all(isinstance(base, str) for base in bases):
+        raise ConfigError(f"{path}: extends: {bases} names no file", hint="write extends: other, or extends: [one, other]")
     if bases and not depth:
         raise ConfigError(f"{path} builds on too many files", hint="leave out `extends`, or end the circle")
     whole: dict[str, Any] = {}
     for base in [bases] if isinstance(bases, str) else bases:
-        beside = path.parent / (str(base) if str(base).endswith((".yaml", ".yml")) else f"{base}.yaml")
-        whole = merged(whole, _mapping(beside if beside.exists() else find(str(base)), depth - 1))
+        beside = path.parent / (base if base.endswith((".yaml", ".yml")) else f"{base}.yaml")
+        whole = merged(whole, _mapping(beside if beside.exists() else find(base), depth - 1))
     return merged(whole, data)
 
 

@@ -196,9 +196,12 @@ def _folder_piece(name: str, folder: Path) -> DatasetPiece:
 def _of_subject(name: str, data: Data, subject: str) -> SynthConfig:
     """The scenes of one subject: the dataset's, with nobody else in them."""
     plain = merged(dict(data.synth or {}), data.changes.get(subject, {}))
-    people = dict(plain.get("people", {}))
-    own = people.get("own", {})
-    people |= {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
+    people, own = plain.get("people") or {}, {}
+    if isinstance(people, Mapping):
+        own = people.get("own") or {}
+    if not isinstance(people, Mapping) or not isinstance(own, Mapping):
+        return _parsed(f"{name}/{subject}", plain)  # which refuses it
+    people = people | {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
     return _parsed(f"{name}/{subject}", plain | {"people": people})
 
 

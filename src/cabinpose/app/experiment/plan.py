@@ -54,7 +54,8 @@ class ExperimentPlan:
         return list({cell.key: cell for cell in reversed([*self.made, *self.first, *rows, *tests])}.values())[::-1]
 
     def chosen(self, only: Sequence[str]) -> list[ExperimentCell]:
-        """The cells of some trainings, tests or datasets by name ("R1", its second repeat "R1.2", "real"), with what they need.
+        """The cells of some trainings, tests or datasets by name ("R1", its second repeat "R1.2", "real"), or by their own
+        ("R1.2 on S3", "data real/P1"), with what they need.
 
         Raises ConfigError for a name that none has; no names: all.
         """
@@ -68,6 +69,8 @@ class ExperimentPlan:
             for number, each in enumerate(judged, 1):
                 for name in (row, test, f"{row}.{number}"):
                     named.setdefault(name, []).append(each)
+        for cell in self.cells:
+            named.setdefault(cell.name, []).append(cell)
         wanted: set[str] = set()
         for name in dict.fromkeys(only):
             if name not in named:
