@@ -14,6 +14,7 @@ from distributed import LocalCluster
 
 from cabinpose.app.experiment.cells import ExperimentCell, _sides
 from cabinpose.app.experiment.config import load
+from cabinpose.app.experiment.page import refuse_other
 from cabinpose.app.experiment.plan import make_plan
 from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.app.training import stored_frames
@@ -62,9 +63,23 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     assert (model.read_bytes(), last.stat().st_mtime_ns) == (weights, stamp)
 
     page.unlink()
-    remade = run("experiment", "report", page.parent, "--resamples", 50)
+    moved = page.parents[2].rename(tmp_path / "moved") / "small" / "paper"
+    record = next(moved.parents[1].glob("tested/*/cell.json"))
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"code": "older"}))
+    remade = run("experiment", "report", moved, "--resamples", 50)
     assert remade.code == 0, remade.err
-    assert "published 13.47" in page.read_text()
+    text = (moved / "index.html").read_text()
+    assert "published 13.47" in text
+    assert "made by another state of the code than this one: R1 on T<" in text
+
+    (tmp_path / "more").mkdir()
+    other = write(name="more/small.yaml")
+    done = run("experiment", "run", other, "--scale", "paper", "--out", moved.parents[1])
+    assert (done.code, "has the page of another file" in done.err) == (2, True), done.err
+    asked = json.loads((moved / "experiment.json").read_text())
+    refuse_other(moved, asked)
+    with pytest.raises(ConfigError, match="has the page of another --data"):
+        refuse_other(moved, asked | {"data": {"real": "my-cars"}})
 
 
 def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_path: Path) -> None:

@@ -247,7 +247,7 @@ def _mapping(path: Path, depth: int) -> dict[str, Any]:
     data = read_mapping(path, hint=HINT)
     for each in data.get("data", {}).values() if isinstance(data.get("data"), dict) else ():
         if isinstance(each, dict) and isinstance(each.get("folder"), str):
-            each["folder"] = str(path.parent / each["folder"])
+            each["folder"] = str(path.absolute().parent / each["folder"])
     bases = data.pop("extends", None) or []
     if not isinstance(bases, (str, list)) or not all(isinstance(base, str) for base in bases):
         raise ConfigError(f"{path}: extends: {bases} names no file", hint="write extends: other, or extends: [one, other]")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
+from cabinpose.app.experiment.cells import code_state
 from cabinpose.app.experiment.config import file_name
 from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
 from cabinpose.app.experiment.results import Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
@@ -13,7 +15,7 @@ from cabinpose.app.finite import finite
 from cabinpose.app.report.charts import ValueScale, charts, legend, series_chart
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, with_small
 from cabinpose.app.report.raster import curves_chart, write_png
-from cabinpose.core import make_folder, write_together
+from cabinpose.core import ConfigError, make_folder, write_together
 
 PLAN = "experiment.json"
 _INTERVALS = (
@@ -21,6 +23,7 @@ _INTERVALS = (
     "repeat. Intervals over few repeats, and over frames of one sequence, are too narrow. Published figures are of the source's "
     "own frames: they stand beside ours to be seen, and are no target."
 )
+_NAMES = 8  # of cells in a line
 _LOSSES = ("training loss", "validation loss")
 
 
@@ -50,6 +53,25 @@ def is_written(folder: Path, asked: dict[str, object]) -> bool:
     return there and (folder / PLAN).read_text("utf-8") == json.dumps(asked, indent=1) + "\n"
 
 
+def refuse_other(folder: Path, asked: Mapping[str, object]) -> None:
+    """Raise ConfigError where the page there is of another file, or of other folders in place of datasets."""
+    with suppress(OSError, ValueError):
+        found = json.loads((folder / PLAN).read_text("utf-8"))
+        for key, what in (("file", "file"), ("data", "--data")):
+            if isinstance(found, dict) and found.get(key, asked[key]) != asked[key]:
+                raise ConfigError(
+                    f"{folder} has the page of another {what}",
+                    hint="move that folder away, rename the file, or give another --out",
+                )
+
+
+def stale(plan: ExperimentPlan) -> str:
+    """Which cells were made by another state of the code than the one that runs; "" where none was."""
+    names = [cell.name for cell in plan.cells if (record := cell.record) and record.get("code") != code_state()]
+    told = ", ".join(names[:_NAMES]) + (f" and {len(names) - _NAMES} more" if len(names) > _NAMES else "")
+    return f"made by another state of the code than this one: {told}" if names else ""
+
+
 def remarks(plan: ExperimentPlan) -> list[str]:
     """What is to be known before the numbers: stand-ins, what is shared on purpose, rows that are one, states of the code."""
     experiment, told = plan.experiment, []
@@ -68,14 +90,8 @@ def remarks(plan: ExperimentPlan) -> list[str]:
             )
     first = [cell for cells in plan.trained.values() for cell in cells]
     told += [f"{name} is {other} at this scale" for name, other in same_cells(first).items()]
-    states: dict[str, list[str]] = {}
-    for cell in plan.cells:
-        if record := cell.record:
-            states.setdefault(str(record.get("code")), []).append(cell.name)
-    if len(states) > 1:
-        newest = max(states.values(), key=len)
-        others = [name for names in states.values() if names is not newest for name in names]
-        told.append(f"made by another state of the code than the others: {', '.join(others)}")
+    if another := stale(plan):
+        told.append(another)
     missing = sum(not cell.done for cell in plan.cells)
     if missing:
         told.append(f"{missing} of {len(plan.cells)} cells are not made: their numbers are missing")
