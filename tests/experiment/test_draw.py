@@ -17,6 +17,7 @@ from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames,
 from cabinpose.app.experiment.plan import make_plan
 from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.core.errors import ConfigError, DatasetError
+from cabinpose.store import open_dataset
 
 Write = Callable[..., Path]
 
@@ -83,4 +84,8 @@ def test_frames_are_the_same_however_many_were_made_and_wherever_they_lie(write:
     here, there = (contents([[(each, np.arange(4))]]) for each in (piece, copy))
     assert here == there
     other = SelectedFrames(FrameSelection(data="copy"), (copy,))
+    action = str(open_dataset(piece.folder)["action"].values[0, 0])
+    wanted = SelectedFrames(FrameSelection(data="copy", action=(action,)), (copy,))
+    assert wanted.frames == int((open_dataset(piece.folder)["action"].values == action).any(axis=1).sum())
+    assert SelectedFrames(FrameSelection(data="copy", pov=("rear",)), (copy,)).frames == 0
     assert positions(draw(other, [[(piece, np.array([0, 2]))]], "t")) == [1, 3]

@@ -99,6 +99,14 @@ def test_every_file_has_the_frames_that_it_draws(name: str, scale: str, tmp_path
         keys.add(cell.key)
 
 
+def test_real_and_synthetic_frames_keep_their_ratios(tmp_path: Path) -> None:
+    """The thesis' 1:3, 1:5 and 1:10; the validation stays above the scale's least number."""
+    trained = planned("se1", "small", tmp_path).trained
+    counts = {row: [source.frames for source in trained[row][0].train] for row in ("R2", "R3", "R4", "R6")}
+    assert counts == {"R2": [90, 270], "R3": [90, 450], "R4": [90, 900], "R6": [180, 540]}
+    assert trained["R2"][0].validation[0].frames == 200
+
+
 def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
     for name in packaged():
         cells = [cells[0] for cells in planned(name, "small", tmp_path).trained.values()]
@@ -113,6 +121,7 @@ def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
 def test_a_scale_keeps_numbers_above_the_least() -> None:
     scale = RunScale(frames=0.1, least=200)
     assert [scale.count(frames) for frames in (6946, 900, 150)] == [695, 200, 150]
+    assert [scale.count(frames, learnt=True) for frames in (6946, 900, 2700, 3)] == [695, 90, 270, 1]
     assert scale.count(20, scaled=False) == 20
 
 
@@ -249,7 +258,7 @@ def test_all_files_are_listed_and_shown(run: Run, tmp_path: Path) -> None:
     shown = run("experiment", "show", "se1", "--out", tmp_path)
     assert shown.code == 0
     assert "R10.3 on S3" in shown.out
-    assert "R5.1 is R1.1 at this scale" in shown.out
+    assert "at this scale" not in shown.out
     assert "CPU hours expected" in shown.out.splitlines()[-1]
 
 

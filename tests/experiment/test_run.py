@@ -98,6 +98,13 @@ def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_pat
     done = run("experiment", "run", write({"trainings": everybody, "tests": tests}), *words)
     assert (done.code, "share the frame" in done.err) == (2, True), done.err
     assert not list((tmp_path / "more").rglob("last.ckpt"))
+    told = run("experiment", "show", write({"trainings": everybody, "tests": tests}), *words, "--json")
+    counts = {each["cell"]: each["frames"] for each in json.loads(told.out)["cells"]}
+    assert counts == {"R1": 4, "R1 on T": 4}
+    everybody["R1"]["train"][0]["action"] = ["dance"]
+    done = run("experiment", "show", write({"trainings": everybody, "tests": tests}), *words)
+    assert (done.code, "training R1: real has no action 'dance'" in done.err) == (2, True), done.err
+    del everybody["R1"]["train"][0]["action"]
     repeated = write({"trainings": everybody, "tests": tests, "scales": {"paper": {"repeats": 2}}})
     for only in ("R1.1", "R1.2"):
         done = run("experiment", "run", repeated, *words, "--only", only)

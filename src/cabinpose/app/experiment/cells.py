@@ -9,6 +9,7 @@ import hashlib
 import json
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -173,7 +174,10 @@ class TrainCell(ExperimentCell):
             )  # fmt: skip
         if best.suffix == ".ckpt":
             export_onnx(best, self.folder / "model.onnx", name=self.name.replace(" ", "-"), card={}, overwrite=True)
-        return {"frames": _count(learnt), "validation_frames": _count(judged)}
+        by_data: Counter[str] = Counter()
+        for source, frames in zip(self.train, learnt, strict=True):
+            by_data[source.part.data] += _count([frames])
+        return {"frames": _count(learnt), "validation_frames": _count(judged), "by_data": by_data}
 
 
 @dataclass(frozen=True)

@@ -127,16 +127,18 @@ class RunScale(Keys):
     """How large an experiment is run."""
 
     frames: float = Field(1.0, gt=0, description="Factor on all numbers of frames.")
-    least: Positive = Field(1, description="Numbers of frames that are scaled down stay above this, or as they are.")
+    least: Positive = Field(
+        1, description="Numbers of frames to validate on and to test on that are scaled down stay above this, or as they are."
+    )
     steps: Positive | None = Field(None, description="Batches of every training; left out: whole passes, `epochs` of them.")
     epochs: Positive = Field(20, description="Epochs of every training, after each of which it is validated.")
     repeats: Positive = Field(1, description="Trainings with other seeds, of each row.")
     recipe: Mapping[str, Any] = Field({}, description="Changes to the experiment's recipe.")
     sample_s: float = Field(0.1, gt=0, description="CPU seconds that a sample of training is expected to take.")
 
-    def count(self, frames: int, scaled: bool = True) -> int:
-        """A number of frames at this scale."""
-        return max(round(frames * self.frames), min(self.least, frames)) if scaled else frames
+    def count(self, frames: int, scaled: bool = True, *, learnt: bool = False) -> int:
+        """A number of frames at this scale; of those that are learnt from the ratios stay, whatever the least number."""
+        return max(round(frames * self.frames), 1 if learnt else min(self.least, frames)) if scaled else frames
 
 
 class Experiment(Keys):
@@ -184,7 +186,8 @@ class Experiment(Keys):
         return [*(p for row in rows for p in (*row.train, *row.validation)), *(p for t in self.tests.values() for p in t.frames)]
 
     def scale(self, name: str) -> RunScale:
-        """The scale of a name, or the paper's with frames and batches times a factor, never below 200 frames.
+        """The scale of a name, or the paper's with frames and batches times a factor; to validate and to test on
+        never below 200 frames.
 
         Raises ConfigError for a name that is neither.
         """

@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,8 @@ class SelectedFrames:
     @property
     def most(self) -> int:
         """No selection can have more frames than this; of a user's folder just as many."""
-        return sum(piece.frames for piece in self._asked)
+        selection = tuple(self.part.selection.items())
+        return sum(p.frames if p.config or not selection else _count(p.folder, p.key, selection) for p in self._asked)
 
     @property
     def _asked(self) -> list[DatasetPiece]:
@@ -87,6 +89,12 @@ class SelectedFrames:
     def frames(self) -> int:
         """How many frames are drawn, as far as it is known before they are there."""
         return self.most if self.part.frames is None else self.part.frames
+
+
+@cache
+def _count(folder: Path, key: str, selection: tuple[tuple[str, tuple[Any, ...]], ...]) -> int:  # noqa: ARG001 - of another content
+    """How many frames of a folder belong to a selection."""
+    return int(_selected(open_dataset(folder), dict(selection)).sum())
 
 
 def digest(facts: Any) -> str:
@@ -104,7 +112,7 @@ def wanted_frames(experiment: Experiment, scale: RunScale) -> dict[str, Wanted]:
     rows: list[Training | FineTuning] = [*experiment.trainings.values()]
     rows += [row.fine_tune for row in experiment.trainings.values() if row.fine_tune]
     result: dict[str, Wanted] = {name: {} for name in experiment.data}
-    for learnt, judged in [(row.train, row.validation) for row in rows] + [(t.frames, ()) for t in experiment.tests.values()]:
+    for learnt, judged in [(row.train, row.validation) for row in rows] + [((), t.frames) for t in experiment.tests.values()]:
         for (name, subjects), count in needed(experiment, scale, learnt, judged).items():
             result[name][subjects] = max(result[name].get(subjects, 0), count)
     return result
@@ -116,7 +124,7 @@ def needed(
     """How many frames a training takes of each dataset and its subjects, with the rest of a sequence that its validation cuts."""
     counts: Counter[tuple[str, tuple[str, ...]]] = Counter()
     for part in learnt:
-        counts[part.data, part.subject] += scale.count(part.frames, part.scaled) if part.frames else 0
+        counts[part.data, part.subject] += scale.count(part.frames, part.scaled, learnt=True) if part.frames else 0
     for part in judged:
         if part.frames:
             left = _sequence_frames(experiment.data[part.data]) - 1 if (part.data, part.subject) in counts else 0
@@ -160,7 +168,7 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
         return (_folder_piece(name, folder),)
     plain, counts = dict(data.synth or {}), data.frames
     if isinstance(counts, Mapping):
-        scaled = {subject: scale.count(frames) for subject, frames in counts.items()}
+        scaled = {subject: scale.count(frames, learnt=True) for subject, frames in counts.items()}
         if scale.frames != 1.0:
             for subjects, count in wanted.items():
                 who = [subject for subject in scaled if not subjects or subject in subjects]
@@ -182,7 +190,7 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
         raise ConfigError(
             f"data.{name}: it is not said how many frames", hint="give `frames`; scenes are drawn at random without end"
         )
-    frames = config.frames_or_all(None) if counts is None else max(scale.count(counts), most)
+    frames = config.frames_or_all(None) if counts is None else max(scale.count(counts, learnt=True), most)
     return (_stand_in(name, config, frames, data.seed, out),)
 
 
@@ -196,13 +204,16 @@ def _folder_piece(name: str, folder: Path) -> DatasetPiece:
 def _of_subject(name: str, data: Data, subject: str) -> SynthConfig:
     """The scenes of one subject: the dataset's, with nobody else in them."""
     plain = merged(dict(data.synth or {}), data.changes.get(subject, {}))
-    people, own = plain.get("people") or {}, {}
+    people: Any = plain.get("people") or {}
+    own: Any = {}
     if isinstance(people, Mapping):
         own = people.get("own") or {}
     if not isinstance(people, Mapping) or not isinstance(own, Mapping):
         return _parsed(f"{name}/{subject}", plain)  # which refuses it
-    people = people | {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
-    return _parsed(f"{name}/{subject}", plain | {"people": people})
+    chosen: dict[str, Any] = (
+        {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
+    )
+    return _parsed(f"{name}/{subject}", plain | {"people": {**people, **chosen}})
 
 
 def _parsed(name: str, plain: Mapping[str, Any]) -> SynthConfig:
@@ -248,6 +259,8 @@ def check_subjects(source: SelectedFrames, where: str) -> None:
             if name not in there:
                 error = unknown_name(kind, name, sorted(there))
                 raise ConfigError(f"{where}: {error}", hint=error.hint)
+    if not any(piece.config for piece in source.pieces):
+        _refuse_unknown([open_dataset(piece.folder) for piece in source.pieces], source.part, where)
     if source.part.frames is not None and source.part.frames > source.most:
         raise _too_few(where, source.part, source.most)
 
@@ -294,7 +307,7 @@ def draw(
     datasets = [open_dataset(piece.folder) for piece in source.pieces]
     _refuse_unknown(datasets, source.part, where)
     for number, (piece, dataset) in enumerate(zip(source.pieces, datasets, strict=True)):
-        free = _selected(dataset, source) & ~_taken(piece, dataset, taken, apart)
+        free = _selected(dataset, source.part.selection) & ~_taken(piece, dataset, taken, apart)
         at = np.flatnonzero(free)
         numbers.append(np.full(len(at), number))
         positions.append(at)
@@ -331,15 +344,12 @@ def _taken(piece: DatasetPiece, dataset: xr.Dataset, taken: Sequence[Drawn], apa
     return result
 
 
-def _selected(dataset: xr.Dataset, source: SelectedFrames) -> NDArray[np.bool_]:
+def _selected(dataset: xr.Dataset, selection: Mapping[str, tuple[Any, ...]]) -> NDArray[np.bool_]:
     """(frame,) whether a frame of a piece belongs to the selection; values that only other pieces have select nothing here."""
-    selection = {}
-    for name, wanted in source.part.selection.items():
-        there = _values(dataset, name)
-        selection[name] = tuple(value for value in wanted if value in there)
-        if not selection[name]:
-            return np.zeros(dataset.sizes["frame"], bool)
-    return frame_mask(dataset, selection)
+    known = {name: tuple(value for value in wanted if value in _values(dataset, name)) for name, wanted in selection.items()}
+    if not all(known.values()):
+        return np.zeros(dataset.sizes["frame"], bool)
+    return frame_mask(dataset, known)
 
 
 def _values(dataset: xr.Dataset, name: str) -> set[Any]:

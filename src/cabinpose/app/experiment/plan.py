@@ -202,7 +202,8 @@ class _Planner:
         validation: Sequence[FrameSelection],
         begins: TrainCell | None = None,
     ) -> TrainCell:
-        learnt, judged = (tuple(self._source(part, f"training {name}") for part in side) for side in (train, validation))
+        learnt = tuple(self._source(part, f"training {name}", learnt=True) for part in train)
+        judged = tuple(self._source(part, f"training {name}") for part in validation)
         frames, held = (sum(source.frames for source in side) for side in (learnt, judged))
         recipe = config.model_dump(mode="json")
         facts = {"recipe": recipe, "train": [s.facts for s in learnt], "validation": [s.facts for s in judged]}
@@ -213,8 +214,8 @@ class _Planner:
         folder = self._out / "trained" / f"{config.method}-{key}"  # by its key: other rows and files may name it otherwise
         return TrainCell(name, key, folder, needs, expected, recipe, learnt, judged, begins)
 
-    def _source(self, part: FrameSelection, where: str) -> SelectedFrames:
-        count = None if part.frames is None else self._scale.count(part.frames, part.scaled)
+    def _source(self, part: FrameSelection, where: str, *, learnt: bool = False) -> SelectedFrames:
+        count = None if part.frames is None else self._scale.count(part.frames, part.scaled, learnt=learnt)
         source = SelectedFrames(part.model_copy(update={"frames": count}), self._data[part.data])
         check_subjects(source, where)
         return source

@@ -62,7 +62,7 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
     for curve in experiment.curves:
         curves[curve.title] = {}
         for name, rows in curve.lines.items():
-            points = [(frames_of(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows]
+            points = [(frames_in_all(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows]
             there = sorted((float(x), number.value) for x, number in points if number is not None)
             curves[curve.title][name] = ([x for x, _ in there], [y for _, y in there])
     return Results(numbers, accuracy, by_joint, curves)
@@ -105,8 +105,15 @@ def _number(runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], column: TableCo
 
 
 def frames_of(cell: TrainCell, data: str) -> int:
-    """The frames of a dataset that a model learns from."""
+    """The frames of a dataset that a training learns from; planned ones, before it is made."""
+    if isinstance(known := cell.record.get("by_data"), dict):
+        return int(known.get(data, 0))
     return sum(source.frames for source in cell.train if source.part.data == data)
+
+
+def frames_in_all(cell: TrainCell, data: str) -> int:
+    """The same of a training and of the one that it begins with."""
+    return sum(frames_of(stage, data) for stage in (cell, cell.begins) if stage is not None)
 
 
 def cell_text(number: OverRepeats | None, digits: int = 1) -> tuple[str, str]:
@@ -128,8 +135,7 @@ def table_rows(plan: ExperimentPlan, results: Results) -> list[list[str]]:
     head = ["", *(f"frames of {name}" for name in names), *titles, *(f"{title}, published" for title in published)]
     rows = [head]
     for row, cells in plan.trained.items():
-        stages = [cells[0], *filter(None, [cells[0].begins])]
-        counts = [sum(frames_of(stage, name) for stage in stages) for name in names]
+        counts = [frames_in_all(cells[0], name) for name in names]
         told = (cell_text(results.numbers[row, title]) for title in titles)
         theirs = (experiment.published.get(row, {}).get(title) for title in published)
         rows.append(
