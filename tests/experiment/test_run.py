@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +16,30 @@ from distributed import LocalCluster
 from cabinpose.app.experiment.cells import ExperimentCell, _sides
 from cabinpose.app.experiment.config import load
 from cabinpose.app.experiment.page import refuse_other
-from cabinpose.app.experiment.plan import make_plan
+from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
+from cabinpose.app.experiment.results import cell_text
 from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError
 from cabinpose.estimate import TrainConfig, frame_spec
+from cabinpose.evaluate import OverRepeats
 from cabinpose.store import open_dataset
 
 Write = Callable[..., Path]
 Run = Callable[..., Any]
+
+
+def plan_of(write: Write, tmp_path: Path) -> ExperimentPlan:
+    return make_plan(load(write()), "paper", tmp_path / "out", {})
+
+
+def test_a_mean_error_says_how_many_joints_it_is_of() -> None:
+    number = OverRepeats(4.0, 3.0, 5.0, (4.0,))
+    assert cell_text(number, 87.5) == ("4.0", "3.0 to 5.0, of 87.5 % found")
+    assert cell_text(number) == ("4.0", "3.0 to 5.0")
+    nothing = OverRepeats(math.nan, math.nan, math.nan, (math.nan,))
+    assert cell_text(nothing, 0.0) == ("none found", "")
+    assert cell_text(nothing) == ("–", "")
 
 
 def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
@@ -43,6 +59,12 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     }  # fmt: skip
     numbers = json.loads((page.parent / "report.json").read_text())["numbers"]
     assert 0.0 <= numbers["R1: PCKh@0.5"]["value"] <= 100.0
+    errors = next(each for each in plan_of(write, tmp_path).tested.values())[0].errors()[0].error_m
+    share = 100 * np.isfinite(errors).sum() / (~np.isnan(errors)).sum()
+    told = "none found" if share == 0 else f"of {share:.1f} % found"
+    assert told in text
+    assert told in (page.parent / "table.md").read_text()
+    assert f",{share:.4f}," in (page.parent / "table.csv").read_text()
     assert "13.47" in (page.parent / "table.md").read_text()
     records = {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")}
     assert len(records) == 5

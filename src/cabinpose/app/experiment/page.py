@@ -19,8 +19,9 @@ from cabinpose.core import ConfigError, make_folder, write_together
 
 PLAN = "experiment.json"
 _INTERVALS = (
-    "Each cell: the mean over the repeats, and below it its 95 % interval by a bootstrap over repeats and frames, then each "
-    "repeat. Intervals over few repeats, and over frames of one sequence, are too narrow. Published figures are of the source's "
+    "Each cell: the mean over the repeats, and below it what 95 of 100 resamples of repeats and single frames give, then each "
+    "repeat. That is no interval of confidence over few repeats, nor where frames are of sequences, in which they resemble each "
+    "other. Mean errors are of the joints that were found, whose share stands below them. Published figures are of the source's "
     "own frames: they stand beside ours to be seen, and are no target."
 )
 _NAMES = 8  # of cells in a line
@@ -128,7 +129,7 @@ def _table(plan: ExperimentPlan, results: Results) -> Html:
     for row in experiment.trainings:
         cells: list[object] = [row]
         for column in experiment.columns:
-            value, span = cell_text(results.numbers[row, column.title])
+            value, span = cell_text(results.numbers[row, column.title], results.found.get((row, column.title)))
             figure = experiment.published.get(row, {}).get(column.title)
             cells.append(with_small(value, " ".join([span, *([] if figure is None else [f"· published {figure:g}"])])))
         rows.append(cells)
