@@ -274,6 +274,15 @@ def test_a_damaged_record_is_none_and_a_damaged_page_is_told(write: Write, run: 
     assert (done.code, "does not say experiment" in done.err) == (2, True), done.err
 
 
+def test_rows_that_are_one_stand_where_the_first_of_them_stands(write: Write, tmp_path: Path) -> None:
+    row: dict[str, Any] = {"train": [{"data": "real", "subject": ["P1"]}], "validation": [{"data": "real", "subject": ["P2"]}]}
+    other = merged(row, {"recipe": {"learning_rate": 0.01}})
+    plan = make_plan(
+        load(write({"trainings": {"R1": None, "A": row, "B": other, "C": row}, "published": None})), "paper", tmp_path, {}
+    )
+    assert [cell.name for cell in plan.cells][3:] == ["A", "B", "A on T", "B on T"]
+
+
 def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path) -> None:
     second: dict[str, Any] = {
         "R2": {"train": [{"data": "real", "subject": ["P1"], "frames": 3}], "validation": [{"data": "real", "subject": ["P2"]}]}

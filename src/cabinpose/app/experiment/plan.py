@@ -51,7 +51,10 @@ class ExperimentPlan:
         """All cells, each once, none before those that it needs."""
         rows = [cell for cells in self.trained.values() for cell in cells]
         tests = [cell for cells in self.tested.values() for cell in cells]
-        return list({cell.key: cell for cell in reversed([*self.made, *self.first, *rows, *tests])}.values())[::-1]
+        found: dict[str, ExperimentCell] = {}
+        for cell in [*self.made, *self.first, *rows, *tests]:
+            found.setdefault(cell.key, cell)
+        return list(found.values())
 
     def chosen(self, only: Sequence[str]) -> list[ExperimentCell]:
         """The cells of some trainings, tests or datasets by name ("R1", its second repeat "R1.2", "real"), or by their own
