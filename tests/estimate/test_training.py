@@ -22,10 +22,10 @@ from cabinpose.estimate import train_config
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.data import GeneratedFrames, StoredFrames, collate, epoch_order
 from cabinpose.estimate.found import Found
-from cabinpose.estimate.methods import METHODS
+from cabinpose.estimate.methods import METHODS, NetworkMethod
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
 from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
-from cabinpose.estimate.training import Detector, check_same, complete, fit, frame_spec, load_detector
+from cabinpose.estimate.training import Detector, begin_with, check_same, complete, fit, frame_spec, load_detector
 from cabinpose.estimate.unet.config import MERGED
 
 ONE = Machines(1)
@@ -294,18 +294,44 @@ def test_a_short_run_is_not_judged_by_the_weights_it_began_with(checkpoints: dic
     assert 0.5 < moved[1] / moved[0] < 1.0
 
 
-@pytest.mark.parametrize(("method", "slots"), [("compact", small.PERSONS[::-1]), ("paf", ("driver",))])
+@pytest.mark.parametrize(("method", "before", "slot"), [("compact", ("driver",), "rear_left"), ("paf", small.PERSONS, "driver")])
 def test_a_run_begins_with_a_network_of_other_places(
-    method: str, slots: tuple[str, ...], checkpoints: dict[str, Path], tmp_path: Path
+    method: str, before: tuple[str, ...], slot: str, checkpoints: dict[str, Path], tmp_path: Path
 ) -> None:
-    """As many of them, or of a network to which they are nothing; its weights are those of the other one, and that is told."""
-    c = config(method, settings=small.TINY[method] | {"slots": slots}, learning_rate=1e-12, weight_decay=0.0, average=0.0)
-    with pytest.warns(UserWarning, match="has learnt other places: driver, front_passenger, rear_left"):
-        run = fit(c, frames(c), frames(c), tmp_path, start=Start(init=checkpoints[method]), machines=ONE)
-    mine, theirs = (dict(load_detector(path).network.named_parameters()) for path in (run, checkpoints[method]))
+    """The only place, or of a network to which they are nothing; its weights are those of the other one, and that is told."""
+    other = checkpoints[method]
+    if before != small.PERSONS:
+        c = config(method, settings=small.TINY[method] | {"slots": before}, epochs=1)
+        other = fit(c, frames(c), frames(c), tmp_path / "other", machines=ONE)
+    c = config(method, settings=small.TINY[method] | {"slots": (slot,)}, learning_rate=1e-12, weight_decay=0.0, average=0.0)
+    with pytest.warns(UserWarning, match=f"has learnt other places: {', '.join(before)}"):
+        run = fit(c, frames(c), frames(c), tmp_path / "run", start=Start(init=other), machines=ONE)
+    mine, theirs = (dict(load_detector(path).network.named_parameters()) for path in (run, other))
     assert mine.keys() == theirs.keys()
     for name, value in mine.items():
         torch.testing.assert_close(value, theirs[name], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("slots", [small.PERSONS[::-1], (*small.PERSONS[:2], "rear_right")])
+def test_no_place_begins_with_what_another_one_has_learnt(
+    slots: tuple[str, ...], checkpoints: dict[str, Path], tmp_path: Path
+) -> None:
+    c = config("compact", settings=small.TINY["compact"] | {"slots": slots})
+    detector = Detector(c)
+    with pytest.raises(ModelError, match="other places, or in another order: driver, front_passenger, rear_left") as error:
+        begin_with(detector, checkpoints["compact"], [])
+    assert error.value.hint == "write slots: [driver, front_passenger, rear_left]"
+
+
+@pytest.mark.parametrize("method", small.NETWORKS)
+def test_networks_say_whether_they_know_places(method: str) -> None:
+    sizes = []
+    for slots in (small.PERSONS, small.PERSONS[:2]):
+        network = Detector(config(method, settings=small.TINY[method] | {"slots": slots})).network
+        sizes.append({name: value.shape for name, value in network.state_dict().items()})
+    known = METHODS[method]
+    assert isinstance(known, NetworkMethod)
+    assert known.of_places == (sizes[0] != sizes[1])
 
 
 @pytest.mark.parametrize("change", [{"channels": (8, 16, 24, 32)}, {"slots": ("front_passenger", "driver")}])

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -22,9 +23,10 @@ from cabinpose.app.experiment.config import (
     merged,
     packaged,
 )
-from cabinpose.app.experiment.frames import wanted_frames
+from cabinpose.app.experiment.frames import contents, wanted_frames
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
 from cabinpose.app.experiment.results import frames_of
+from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.core.errors import ConfigError
 from cabinpose.store import validated
 
@@ -55,6 +57,26 @@ def test_the_series_have_the_thesis_numbers_of_frames(name: str, tmp_path: Path)
     assert validated == VALIDATED[name]
 
 
+@pytest.mark.parametrize("name", [*packaged()])
+def test_one_car_is_one_for_everybody_and_no_seed_is_used_twice(name: str, tmp_path: Path) -> None:
+    plan = planned(name, "paper", tmp_path)
+    for pieces in plan.data.values():
+        if len(pieces) > 1:
+            (cars,) = {piece.cars for piece in pieces}
+            assert [seed for _, seed in cars] == [None]
+    seeds = [piece.seed for pieces in plan.data.values() for piece in pieces]
+    assert len(seeds) == len(set(seeds))
+
+
+def test_a_random_car_is_another_one_for_each_person(write: Write, tmp_path: Path) -> None:
+    file = write({"data": {"real": {"synth": {"scene": {"cars": ["C0003"]}}}}, "tests": {"T": {"may_share": []}}})
+    plan = make_plan(load(file), "paper", tmp_path, {})
+    pieces = plan.data["real"]
+    assert [set(piece.cars) for piece in pieces] == [{("C0003", 3)}, {("C0003", 4)}, {("C0003", 5)}]
+    make_cells(plan.made[:1], 1, lambda *_: None)
+    assert contents([[(pieces[0], np.arange(2))]])["car"] == pieces[0].cars
+
+
 def test_fine_tuning_has_ten_of_a_hundred_epochs(tmp_path: Path) -> None:
     """The thesis: 180 epochs, and 20."""
     cell = planned("re1", "paper", tmp_path).trained["M3"][0]
@@ -64,7 +86,7 @@ def test_fine_tuning_has_ten_of_a_hundred_epochs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [*packaged()])
-@pytest.mark.parametrize("scale", ["small", "paper", "0.37"])
+@pytest.mark.parametrize("scale", ["small", "paper", "0.37", "1.04"])
 def test_every_file_has_the_frames_that_it_draws(name: str, scale: str, tmp_path: Path) -> None:
     plan = planned(name, scale, tmp_path)
     for data, wanted in wanted_frames(plan.experiment, plan.scale).items():
@@ -75,6 +97,14 @@ def test_every_file_has_the_frames_that_it_draws(name: str, scale: str, tmp_path
     for cell in plan.cells:
         assert keys.issuperset(cell.needs), f"{cell.name} comes before what it needs"
         keys.add(cell.key)
+
+
+def test_real_and_synthetic_frames_keep_their_ratios(tmp_path: Path) -> None:
+    """The thesis' 1:3, 1:5 and 1:10; the validation stays above the scale's least number."""
+    trained = planned("se1", "small", tmp_path).trained
+    counts = {row: [source.frames for source in trained[row][0].train] for row in ("R2", "R3", "R4", "R6")}
+    assert counts == {"R2": [90, 270], "R3": [90, 450], "R4": [90, 900], "R6": [180, 540]}
+    assert trained["R2"][0].validation[0].frames == 200
 
 
 def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
@@ -91,6 +121,7 @@ def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
 def test_a_scale_keeps_numbers_above_the_least() -> None:
     scale = RunScale(frames=0.1, least=200)
     assert [scale.count(frames) for frames in (6946, 900, 150)] == [695, 200, 150]
+    assert [scale.count(frames, learnt=True) for frames in (6946, 900, 2700, 3)] == [695, 90, 270, 1]
     assert scale.count(20, scaled=False) == 20
 
 
@@ -133,6 +164,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         {"trainings": {"R1": {"train": [{"data": "real", "subject": ["P1"], "frames": 5}]}}},
         "training R1: 5 frames of real are asked for, and the selection has 4", "ask for at most 4",
     ),
+    "too few frames to learn from and to validate on": (
+        {"trainings": {"R1": {"validation": [{"data": "real", "subject": ["P1"], "frames": 1}], "may_share": ["subject"]}}},
+        "training R1 and its validation: 5 frames of real are asked for", "ask for at most 4",
+    ),
     "an unknown dataset": (
         {"trainings": {"R1": {"train": [{"data": "reel"}]}}}, "unknown dataset 'reel'", "did you mean real?",
     ),
@@ -157,6 +192,32 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "column A: iou is not measured of joints",
         "iou or person_iou of parts",
     ),
+    "two columns of one title": (
+        {"columns": [{"title": "A", "test": "T"}, {"title": "A", "test": "T", "measure": "auc"}], "published": None},
+        "columns: 'A' and 'A' are one name", "call one of them otherwise",
+    ),
+    "two tests of one picture": (
+        {"tests": {"a b": {"frames": [{"data": "real", "subject": ["P3"]}]}, "A-b": {"frames": [{"data": "real"}]}}},
+        "tests: 'a b' and 'A-b' are one name", "call one of them otherwise",
+    ),
+    "pck of no threshold": (
+        {"columns": [{"title": "A", "test": "T", "measure": "pck"}], "published": None},
+        "column A: pck is within a threshold", "threshold: 10 of px",
+    ),
+    "a threshold of what has none": (
+        {"columns": [{"title": "A", "test": "T", "measure": "auc", "threshold": 0.2}], "published": None},
+        "column A: auc has no threshold", "leave threshold out",
+    ),
+    "extends what is no file": ({"extends": 5}, "extends: 5 names no file", "write extends: other"),
+    "people that are none": (
+        {"data": {"real": {"synth": {"people": [1]}}}}, "data.real/P1.synth: people", "",
+    ),
+    "own people that are none": (
+        {"data": {"real": {"synth": {"people": {"own": 5}}}}}, "data.real/P1.synth: people.own", "",
+    ),
+    "changes of people that are none": (
+        {"data": {"real": {"changes": {"P1": {"people": 5}}}}}, "data.real/P1.synth: people", "",
+    ),
     "two sources of a dataset": ({"data": {"real": {"folder": "x"}}}, "a folder or a stand-in", "one of folder and synth"),
 }  # fmt: skip
 
@@ -180,6 +241,7 @@ def test_it_is_refused_before_anything_runs(what: str, write: Write, run: Run, t
         ("se1 --only R11", "unknown cell 'R11'"),
         ("se1 --data reel=x", "unknown dataset 'reel'"),
         ("se1 --data real", "--data real names no folder"),
+        ("se1 --resamples -1", "cannot draw -1 resamples"),
         ("se1 --workers 0", "cannot work with 0 workers"),
         ("se1 --workers 2 --scheduler tcp://x:1", "--workers are processes of this machine"),
     ],
@@ -196,8 +258,29 @@ def test_all_files_are_listed_and_shown(run: Run, tmp_path: Path) -> None:
     shown = run("experiment", "show", "se1", "--out", tmp_path)
     assert shown.code == 0
     assert "R10.3 on S3" in shown.out
-    assert "R5.1 is R1.1 at this scale" in shown.out
+    assert "at this scale" not in shown.out
     assert "CPU hours expected" in shown.out.splitlines()[-1]
+
+
+def test_a_damaged_record_is_none_and_a_damaged_page_is_told(write: Write, run: Run, tmp_path: Path) -> None:
+    plan = make_plan(load(write()), "paper", tmp_path, {})
+    for cell, text in zip(plan.cells[:2], ("", "{}"), strict=True):
+        cell.folder.mkdir(parents=True)
+        (cell.folder / "cell.json").write_text(text)
+        assert not cell.done
+    assert run("experiment", "show", write(), "--scale", "paper", "--out", tmp_path).code == 0
+    (tmp_path / "experiment.json").write_text("{}")
+    done = run("experiment", "report", tmp_path)
+    assert (done.code, "does not say experiment" in done.err) == (2, True), done.err
+
+
+def test_rows_that_are_one_stand_where_the_first_of_them_stands(write: Write, tmp_path: Path) -> None:
+    row: dict[str, Any] = {"train": [{"data": "real", "subject": ["P1"]}], "validation": [{"data": "real", "subject": ["P2"]}]}
+    other = merged(row, {"recipe": {"learning_rate": 0.01}})
+    plan = make_plan(
+        load(write({"trainings": {"R1": None, "A": row, "B": other, "C": row}, "published": None})), "paper", tmp_path, {}
+    )
+    assert [cell.name for cell in plan.cells][3:] == ["A", "B", "A on T", "B on T"]
 
 
 def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path) -> None:
@@ -225,5 +308,7 @@ def test_the_page_has_a_file_of_ones_own_and_every_key() -> None:
 def test_only_what_is_named_and_what_it_needs(tmp_path: Path) -> None:
     plan = planned("se1", "small", tmp_path)
     assert [cell.name for cell in plan.chosen(["R1.2"])] == ["data real/P1", "data real/P2", "data real/P3", "R1.2", "R1.2 on S3"]
+    assert plan.chosen(["R1.2 on S3"]) == plan.chosen(["R1.2"])
+    assert all(cell in plan.chosen([cell.name]) for cell in plan.cells)
     assert [cell.name for cell in plan.chosen(["synthetic"])] == ["data synthetic"]
     assert frames_of(plan.trained["R10"][0], "synthetic") == 2520

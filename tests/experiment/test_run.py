@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +15,31 @@ from distributed import LocalCluster
 
 from cabinpose.app.experiment.cells import ExperimentCell, _sides
 from cabinpose.app.experiment.config import load
-from cabinpose.app.experiment.plan import make_plan
+from cabinpose.app.experiment.page import refuse_other
+from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
+from cabinpose.app.experiment.results import cell_text
 from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError
 from cabinpose.estimate import TrainConfig, frame_spec
+from cabinpose.evaluate import OverRepeats
 from cabinpose.store import open_dataset
 
 Write = Callable[..., Path]
 Run = Callable[..., Any]
+
+
+def plan_of(write: Write, tmp_path: Path) -> ExperimentPlan:
+    return make_plan(load(write()), "paper", tmp_path / "out", {})
+
+
+def test_a_mean_error_says_how_many_joints_it_is_of() -> None:
+    number = OverRepeats(4.0, 3.0, 5.0, (4.0,))
+    assert cell_text(number, 87.5) == ("4.0", "3.0 to 5.0, of 87.5 % found")
+    assert cell_text(number) == ("4.0", "3.0 to 5.0")
+    nothing = OverRepeats(math.nan, math.nan, math.nan, (math.nan,))
+    assert cell_text(nothing, 0.0) == ("none found", "")
+    assert cell_text(nothing) == ("–", "")
 
 
 def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
@@ -42,6 +59,12 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     }  # fmt: skip
     numbers = json.loads((page.parent / "report.json").read_text())["numbers"]
     assert 0.0 <= numbers["R1: PCKh@0.5"]["value"] <= 100.0
+    errors = next(each for each in plan_of(write, tmp_path).tested.values())[0].errors()[0].error_m
+    share = 100 * np.isfinite(errors).sum() / (~np.isnan(errors)).sum()
+    told = "none found" if share == 0 else f"of {share:.1f} % found"
+    assert told in text
+    assert told in (page.parent / "table.md").read_text()
+    assert f",{share:.4f}," in (page.parent / "table.csv").read_text()
     assert "13.47" in (page.parent / "table.md").read_text()
     records = {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")}
     assert len(records) == 5
@@ -62,9 +85,23 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     assert (model.read_bytes(), last.stat().st_mtime_ns) == (weights, stamp)
 
     page.unlink()
-    remade = run("experiment", "report", page.parent, "--resamples", 50)
+    moved = page.parents[2].rename(tmp_path / "moved") / "small" / "paper"
+    record = next(moved.parents[1].glob("tested/*/cell.json"))
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"code": "older"}))
+    remade = run("experiment", "report", moved, "--resamples", 50)
     assert remade.code == 0, remade.err
-    assert "published 13.47" in page.read_text()
+    text = (moved / "index.html").read_text()
+    assert "published 13.47" in text
+    assert "made by another state of the code than this one: R1 on T<" in text
+
+    (tmp_path / "more").mkdir()
+    other = write(name="more/small.yaml")
+    done = run("experiment", "run", other, "--scale", "paper", "--out", moved.parents[1])
+    assert (done.code, "has the page of another file" in done.err) == (2, True), done.err
+    asked = json.loads((moved / "experiment.json").read_text())
+    refuse_other(moved, asked)
+    with pytest.raises(ConfigError, match="has the page of another --data"):
+        refuse_other(moved, asked | {"data": {"real": "my-cars"}})
 
 
 def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_path: Path) -> None:
@@ -83,6 +120,17 @@ def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_pat
     done = run("experiment", "run", write({"trainings": everybody, "tests": tests}), *words)
     assert (done.code, "share the frame" in done.err) == (2, True), done.err
     assert not list((tmp_path / "more").rglob("last.ckpt"))
+    told = run("experiment", "show", write({"trainings": everybody, "tests": tests}), *words, "--json")
+    counts = {each["cell"]: each["frames"] for each in json.loads(told.out)["cells"]}
+    assert counts == {"R1": 4, "R1 on T": 4}
+    everybody["R1"]["train"][0]["action"] = ["dance"]
+    done = run("experiment", "show", write({"trainings": everybody, "tests": tests}), *words)
+    assert (done.code, "training R1: real has no action 'dance'" in done.err) == (2, True), done.err
+    del everybody["R1"]["train"][0]["action"]
+    repeated = write({"trainings": everybody, "tests": tests, "scales": {"paper": {"repeats": 2}}})
+    for only in ("R1.1", "R1.2"):
+        done = run("experiment", "run", repeated, *words, "--only", only)
+        assert (done.code, "share the frame" in done.err) == (2, True), done.err
 
 
 def test_rooms_and_cars_are_mixed_and_so_are_kinds_of_depth(write: Write, tmp_path: Path) -> None:

@@ -88,11 +88,14 @@ class NetworkMethod(Method[S]):
         Whether training may begin with an exported model, see `estimate.weights`: each layer keeps its name in the file.
     precise
         Layers of the network that stay in float32 where an export is in eight bits.
+    of_places
+        Whether the network answers for the places one by one, so that its weights are for those places in that order.
     """
 
     outputs: ClassVar[tuple[str, ...]]
     reads_onnx: ClassVar[bool] = False
     precise: ClassVar[tuple[str, ...]] = ()
+    of_places: ClassVar[bool] = True
 
     @abstractmethod
     def network(self, settings: S) -> nn.Module:

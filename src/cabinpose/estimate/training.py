@@ -388,9 +388,9 @@ def load_detector(path: Path) -> Detector:
 def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kept]) -> None:
     """Give a detector the weights of a checkpoint or of a compact model in an ONNX file.
 
-    Parts that the other one does not have keep their own. Where the places are others, and the network is of the same size
-    nevertheless, the first of these stands for the first of those, and so on, with a warning. Norms that were folded on export
-    are measured on `training`. Raises ModelError where that one is of another network.
+    Parts that the other one does not have keep their own. The places have to be the same in the same order, or another one for
+    the only one, or of a network that knows none: then a warning says so. Norms that were folded on export are measured on
+    `training`. Raises ModelError where that one is of another network.
     """
     source = packaged_models().get(str(source), source)
     folded: tuple[str, ...] = ()
@@ -412,6 +412,11 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
             f"{source} is of another network: {', '.join(other_names)}", hint="begin with a run of the same method and settings"
         )
     if mine.slots != theirs.slots:
+        if detector.method.of_places and len(mine.slots) > 1:  # a place would begin with what another one has learnt
+            raise ModelError(
+                f"{source} has learnt other places, or in another order: {', '.join(theirs.slots)}",
+                hint=f"write slots: [{', '.join(theirs.slots)}]",
+            )
         warnings.warn(f"{source} has learnt other places: {', '.join(theirs.slots)}", stacklevel=3)
     detector.trained_on = learnt
     if folded:

@@ -4,6 +4,7 @@ from .camera import CameraPose as CameraPose
 from .camera import ExactCameraPose as ExactCameraPose
 from .cars import ChangedPreset as ChangedPreset
 from .cars import is_car_file as is_car_file
+from .cars import is_random_car as is_random_car
 from .config import CabinScene as CabinScene
 from .config import Factorial as Factorial
 from .config import Limits as Limits

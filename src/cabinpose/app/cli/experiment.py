@@ -125,8 +125,8 @@ def run(command: RunExperiment | List | Show | Remake | Compare) -> None:
 def _run(command: RunExperiment) -> None:
     import os
 
-    from cabinpose.app.experiment.cells import DataCell
-    from cabinpose.app.experiment.page import is_written, write_results
+    from cabinpose.app.experiment.cells import DataCell, code_state
+    from cabinpose.app.experiment.page import is_written, refuse_other, stale, write_results
     from cabinpose.app.experiment.results import results_of
     from cabinpose.app.experiment.schedule import make_cells
 
@@ -136,8 +136,11 @@ def _run(command: RunExperiment) -> None:
         )
     if command.workers is not None and command.workers < 1:
         raise ConfigError(f"cannot work with {command.workers} workers", hint="ask for at least 1 worker")
+    _check_resamples(command.resamples)
     require("train")
     plan, asked = _planned(command.name, command.scale, command.data, command.out)
+    folder = command.out / Path(command.name).stem.lower() / command.scale
+    refuse_other(folder, asked)
     cells = plan.chosen(command.only)
     missing = [cell for cell in cells if not cell.done]
     workers = command.scheduler or command.workers or os.cpu_count() or 1
@@ -154,20 +157,21 @@ def _run(command: RunExperiment) -> None:
         if missing:
             plan.check_frames(cells)
         make_cells([cell for cell in missing if not isinstance(cell, DataCell)], workers, told)
-    folder = command.out / Path(command.name).stem.lower() / command.scale
-    asked |= {"resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
+    asked |= {"code": code_state(), "resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
     if missing or not is_written(folder, asked):
         write_results(folder, plan, results_of(plan, command.resamples), asked)
     if command.as_json:
         print_json({"page": str(folder / "index.html"), "cells": len(cells), "made": len(missing)})
         return
     _tell(folder)
+    if told_stale := stale(plan):
+        print(told_stale, file=sys.stderr)
     print(f"{len(missing)} of {len(cells)} cells made now; open {folder / 'index.html'}", file=sys.stderr)
 
 
 def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[ExperimentPlan, dict[str, object]]:
     """The plan of an experiment, and what was asked for, as plain data."""
-    from cabinpose.app.experiment.config import find, load
+    from cabinpose.app.experiment.config import find, load, packaged
     from cabinpose.app.experiment.plan import make_plan
 
     given = {}
@@ -176,12 +180,19 @@ def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[E
         if not equals or not folder:
             raise ConfigError(f"--data {word} names no folder", hint="write --data real=FOLDER")
         given[key] = Path(folder)
-    experiment = load(find(name))
+    path = find(name)
+    experiment = load(path)
     asked: dict[str, object] = {
-        "experiment": experiment.model_dump(mode="json"), "scale": scale, "out": str(out.resolve()),
+        "file": name.lower() if path in packaged().values() else str(path.resolve()),
+        "experiment": experiment.model_dump(mode="json"), "scale": scale, "out": "../..",  # of the page's folder
         "data": {key: str(folder.resolve()) for key, folder in given.items()},
     }  # fmt: skip
     return make_plan(experiment, scale, out.resolve(), given), asked
+
+
+def _check_resamples(resamples: int) -> None:
+    if resamples < 0:
+        raise ConfigError(f"cannot draw {resamples} resamples", hint="ask for some hundred, or for 0: no intervals")
 
 
 def _tell(folder: Path) -> None:
@@ -234,22 +245,26 @@ def _show(command: Show) -> None:
 
 
 def _report(command: Remake) -> None:
+    from cabinpose.app.experiment.cells import code_state
     from cabinpose.app.experiment.config import Experiment
     from cabinpose.app.experiment.page import PLAN, write_results
     from cabinpose.app.experiment.plan import make_plan
     from cabinpose.app.experiment.results import results_of
     from cabinpose.store import read_mapping, validated
 
+    _check_resamples(command.resamples)
     file = command.folder / PLAN
     if not file.exists():
         raise ConfigError(
             f"{command.folder} is no folder of an experiment's page", hint="give the one that `experiment run` names"
         )
     asked = read_mapping(file, hint="run the experiment again")
+    if lacking := [key for key in ("experiment", "scale", "out", "data") if key not in asked]:
+        raise ConfigError(f"{file} does not say {lacking[0]}", hint="run the experiment again")
     experiment = validated(Experiment, asked["experiment"], file, hint="run the experiment again")
     given = {name: Path(folder) for name, folder in asked["data"].items()}
-    plan = make_plan(experiment, asked["scale"], Path(asked["out"]), given)
-    asked |= {"resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
+    plan = make_plan(experiment, asked["scale"], (command.folder / asked["out"]).resolve(), given)
+    asked |= {"code": code_state(), "resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
     write_results(command.folder, plan, results_of(plan, command.resamples), asked)
     if command.as_json:
         print_json({"page": str(command.folder / "index.html")})

@@ -9,6 +9,7 @@ import hashlib
 import json
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from cabinpose.store import MANIFEST_NAME
 from cabinpose.synth import Existing, SynthConfig, generate
 
 RECORD = "cell.json"  # of a cell that is whole
+_TOLD = {"cpu_s", "wall_s", "resumed"}  # of every record
 _MODELS = ("model.onnx", "best.npz")
 
 
@@ -57,14 +59,14 @@ class ExperimentCell(ABC):
     @property
     def done(self) -> bool:
         """Whether it is there."""
-        return (self.folder / RECORD).exists()
+        return bool(self.record)
 
     @property
     def record(self) -> dict[str, Any]:
         """What it took, and what there is to be known of it; empty where it is not there or damaged."""
         with suppress(OSError, ValueError):
             found = json.loads((self.folder / RECORD).read_text("utf-8"))
-            if isinstance(found, dict):
+            if isinstance(found, dict) and _TOLD.issubset(found):
                 return found
         return {}
 
@@ -135,7 +137,7 @@ class TrainCell(ExperimentCell):
             judged.append(draw(source, judged, f"validation of {self.name}", whole_sequences=True))
         learnt: list[Drawn] = []
         for source in self.train:
-            learnt.append(draw(source, [*judged, *learnt], f"training of {self.name}"))
+            learnt.append(draw(source, [*judged, *learnt], f"training of {self.name}", apart=judged))
         return learnt, judged
 
     def model(self) -> Path:
@@ -172,7 +174,10 @@ class TrainCell(ExperimentCell):
             )  # fmt: skip
         if best.suffix == ".ckpt":
             export_onnx(best, self.folder / "model.onnx", name=self.name.replace(" ", "-"), card={}, overwrite=True)
-        return {"frames": _count(learnt), "validation_frames": _count(judged)}
+        by_data: Counter[str] = Counter()
+        for source, frames in zip(self.train, learnt, strict=True):
+            by_data[source.part.data] += _count([frames])
+        return {"frames": _count(learnt), "validation_frames": _count(judged), "by_data": by_data}
 
 
 @dataclass(frozen=True)

@@ -102,8 +102,16 @@ class TableColumn(Keys):
     test: str = Field(description="Name of a test.")
     measure: Measure = Field("pckh", description="What is measured.")
     space: Literal["2d", "3d"] = Field("2d", description="In px or in m.")
-    threshold: float = Field(0.5, gt=0, description="Of pckh in head sizes, of pck in px or m.")
+    threshold: float | None = Field(None, gt=0, description="Of pckh in head sizes, 0.5 if left out; of pck in px or m.")
     joints: str = Field("All", description="All, a group of joints, or a joint.")
+
+    @model_validator(mode="after")
+    def _threshold(self) -> Self:
+        if self.measure == "pck" and self.threshold is None:
+            raise ConfigError(f"column {self.title}: pck is within a threshold", hint="give threshold: 10 of px, 0.1 of m")
+        if self.measure not in ("pck", "pckh") and self.threshold is not None:
+            raise ConfigError(f"column {self.title}: {self.measure} has no threshold", hint="leave threshold out")
+        return self
 
 
 class Curve(Keys):
@@ -119,16 +127,18 @@ class RunScale(Keys):
     """How large an experiment is run."""
 
     frames: float = Field(1.0, gt=0, description="Factor on all numbers of frames.")
-    least: Positive = Field(1, description="Numbers of frames that are scaled down stay above this, or as they are.")
+    least: Positive = Field(
+        1, description="Numbers of frames to validate on and to test on that are scaled down stay above this, or as they are."
+    )
     steps: Positive | None = Field(None, description="Batches of every training; left out: whole passes, `epochs` of them.")
     epochs: Positive = Field(20, description="Epochs of every training, after each of which it is validated.")
     repeats: Positive = Field(1, description="Trainings with other seeds, of each row.")
     recipe: Mapping[str, Any] = Field({}, description="Changes to the experiment's recipe.")
     sample_s: float = Field(0.1, gt=0, description="CPU seconds that a sample of training is expected to take.")
 
-    def count(self, frames: int, scaled: bool = True) -> int:
-        """A number of frames at this scale."""
-        return max(round(frames * self.frames), min(self.least, frames)) if scaled else frames
+    def count(self, frames: int, scaled: bool = True, *, learnt: bool = False) -> int:
+        """A number of frames at this scale; of those that are learnt from the ratios stay, whatever the least number."""
+        return max(round(frames * self.frames), 1 if learnt else min(self.least, frames)) if scaled else frames
 
 
 class Experiment(Keys):
@@ -149,6 +159,9 @@ class Experiment(Keys):
     @model_validator(mode="after")
     def _names(self) -> Self:
         titles = [column.title for column in self.columns]
+        _apart("columns", titles)
+        _apart("curves", [curve.title for curve in self.curves])
+        _apart("tests", list(self.tests))
         for part in self.parts:
             _known("dataset", part.data, self.data)
         for column in self.columns:
@@ -173,7 +186,8 @@ class Experiment(Keys):
         return [*(p for row in rows for p in (*row.train, *row.validation)), *(p for t in self.tests.values() for p in t.frames)]
 
     def scale(self, name: str) -> RunScale:
-        """The scale of a name, or the paper's with frames and batches times a factor, never below 200 frames.
+        """The scale of a name, or the paper's with frames and batches times a factor; to validate and to test on
+        never below 200 frames.
 
         Raises ConfigError for a name that is neither.
         """
@@ -188,6 +202,21 @@ class Experiment(Keys):
         paper = self.scales["paper"]
         steps = None if paper.steps is None else max(round(paper.steps * factor), 1)
         return paper.model_copy(update={"frames": paper.frames * factor, "least": 200, "steps": steps})
+
+
+def file_name(name: str) -> str:
+    """The part of a picture's file name that a name of a file stands for."""
+    return "".join(c if c.isalnum() else "-" for c in name)
+
+
+def _apart(kind: str, names: list[str]) -> None:
+    """Raise ConfigError for two names that are one, in the table or as names of files where case does not count."""
+    told: dict[str, str] = {}
+    for name in names:
+        key = file_name(name).lower() if kind != "columns" else name
+        if key in told:
+            raise ConfigError(f"{kind}: {told[key]!r} and {name!r} are one name", hint="call one of them otherwise")
+        told[key] = name
 
 
 def _known(kind: str, name: str, names: Any) -> None:
@@ -221,14 +250,16 @@ def _mapping(path: Path, depth: int) -> dict[str, Any]:
     data = read_mapping(path, hint=HINT)
     for each in data.get("data", {}).values() if isinstance(data.get("data"), dict) else ():
         if isinstance(each, dict) and isinstance(each.get("folder"), str):
-            each["folder"] = str(path.parent / each["folder"])
+            each["folder"] = str(path.absolute().parent / each["folder"])
     bases = data.pop("extends", None) or []
+    if not isinstance(bases, (str, list)) or not all(isinstance(base, str) for base in bases):
+        raise ConfigError(f"{path}: extends: {bases} names no file", hint="write extends: other, or extends: [one, other]")
     if bases and not depth:
         raise ConfigError(f"{path} builds on too many files", hint="leave out `extends`, or end the circle")
     whole: dict[str, Any] = {}
     for base in [bases] if isinstance(bases, str) else bases:
-        beside = path.parent / (str(base) if str(base).endswith((".yaml", ".yml")) else f"{base}.yaml")
-        whole = merged(whole, _mapping(beside if beside.exists() else find(str(base)), depth - 1))
+        beside = path.parent / (base if base.endswith((".yaml", ".yml")) else f"{base}.yaml")
+        whole = merged(whole, _mapping(beside if beside.exists() else find(base), depth - 1))
     return merged(whole, data)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,11 @@ from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameS
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
 from cabinpose.store import dataset_id, frame_mask, open_dataset, read_manifest
-from cabinpose.synth import CabinScene, SynthConfig
+from cabinpose.synth import CabinScene, SequenceConfig, SynthConfig, is_random_car
 
 Identity = tuple[str, int | None]
 """A person, or a car, by name; with the seed of their dataset where it drew them at random."""
-_RANDOM_CAR = re.compile(r"(C\d{4,}|room_\d+)")
+_ROOM = "room_"  # the names of rooms, which are drawn at random, begin so
 _DRAW = 39  # seed of the order in which frames are drawn: of the same selection, more frames are the same ones and others
 
 
@@ -71,18 +71,30 @@ class SelectedFrames:
     @property
     def cars(self) -> set[Identity]:
         """Which cars may be in the frames."""
-        return {car for piece in self.pieces for car in piece.cars if not self.part.car or car[0] in self.part.car}
+        return {car for piece in self._asked for car in piece.cars if not self.part.car or car[0] in self.part.car}
 
     @property
     def most(self) -> int:
         """No selection can have more frames than this; of a user's folder just as many."""
+        selection = tuple(self.part.selection.items())
+        return sum(p.frames if p.config or not selection else _count(p.folder, p.key, selection) for p in self._asked)
+
+    @property
+    def _asked(self) -> list[DatasetPiece]:
+        """The pieces that may have frames of the subjects."""
         wanted = self.part.subject
-        return sum(p.frames for p in self.pieces if not wanted or any(name in wanted for name, _ in p.people))
+        return [piece for piece in self.pieces if not wanted or any(name in wanted for name, _ in piece.people)]
 
     @property
     def frames(self) -> int:
         """How many frames are drawn, as far as it is known before they are there."""
         return self.most if self.part.frames is None else self.part.frames
+
+
+@cache
+def _count(folder: Path, key: str, selection: tuple[tuple[str, tuple[Any, ...]], ...]) -> int:  # noqa: ARG001 - of another content
+    """How many frames of a folder belong to a selection."""
+    return int(_selected(open_dataset(folder), dict(selection)).sum())
 
 
 def digest(facts: Any) -> str:
@@ -100,13 +112,32 @@ def wanted_frames(experiment: Experiment, scale: RunScale) -> dict[str, Wanted]:
     rows: list[Training | FineTuning] = [*experiment.trainings.values()]
     rows += [row.fine_tune for row in experiment.trainings.values() if row.fine_tune]
     result: dict[str, Wanted] = {name: {} for name in experiment.data}
-    for parts in [[*(*row.train, *row.validation)] for row in rows] + [[*test.frames] for test in experiment.tests.values()]:
-        counts: Counter[tuple[str, tuple[str, ...]]] = Counter()
-        for part in parts:
-            counts[part.data, part.subject] += scale.count(part.frames, part.scaled) if part.frames else 0
-        for (name, subjects), count in counts.items():
+    for learnt, judged in [(row.train, row.validation) for row in rows] + [((), t.frames) for t in experiment.tests.values()]:
+        for (name, subjects), count in needed(experiment, scale, learnt, judged).items():
             result[name][subjects] = max(result[name].get(subjects, 0), count)
     return result
+
+
+def needed(
+    experiment: Experiment, scale: RunScale, learnt: Iterable[FrameSelection], judged: Iterable[FrameSelection]
+) -> dict[tuple[str, tuple[str, ...]], int]:
+    """How many frames a training takes of each dataset and its subjects, with the rest of a sequence that its validation cuts."""
+    counts: Counter[tuple[str, tuple[str, ...]]] = Counter()
+    for part in learnt:
+        counts[part.data, part.subject] += scale.count(part.frames, part.scaled, learnt=True) if part.frames else 0
+    for part in judged:
+        if part.frames:
+            left = _sequence_frames(experiment.data[part.data]) - 1 if (part.data, part.subject) in counts else 0
+            counts[part.data, part.subject] += scale.count(part.frames, part.scaled) + left
+    return dict(counts)
+
+
+def _sequence_frames(data: Data) -> int:
+    """Frames of a stand-in's sequences; 1: single ones, or not known."""
+    scene = (data.synth or {}).get("scene")
+    sequence = scene.get("sequence") if isinstance(scene, Mapping) else None
+    frames = sequence.get("frames", SequenceConfig.model_fields["frames"].default) if isinstance(sequence, Mapping) else 1
+    return frames if isinstance(frames, int) else 1
 
 
 def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Path | None, out: Path) -> tuple[DatasetPiece, ...]:
@@ -137,8 +168,8 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
         return (_folder_piece(name, folder),)
     plain, counts = dict(data.synth or {}), data.frames
     if isinstance(counts, Mapping):
-        scaled = {subject: scale.count(frames) for subject, frames in counts.items()}
-        if scale.frames < 1.0:
+        scaled = {subject: scale.count(frames, learnt=True) for subject, frames in counts.items()}
+        if scale.frames != 1.0:
             for subjects, count in wanted.items():
                 who = [subject for subject in scaled if not subjects or subject in subjects]
                 if count > sum(scaled[subject] for subject in who):
@@ -147,7 +178,7 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
             _stand_in(f"{name}/{subject}", _of_subject(name, data, subject), frames, data.seed + number, out)
             for number, (subject, frames) in enumerate(scaled.items())
         )
-    most = max(wanted.values(), default=0) if scale.frames < 1.0 else 0
+    most = max(wanted.values(), default=0) if scale.frames != 1.0 else 0
     config = _parsed(name, plain)
     scene = config.scene
     if counts is None and isinstance(scene, CabinScene) and scene.factorial is not None:
@@ -159,7 +190,7 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
         raise ConfigError(
             f"data.{name}: it is not said how many frames", hint="give `frames`; scenes are drawn at random without end"
         )
-    frames = config.frames_or_all(None) if counts is None else max(scale.count(counts), most)
+    frames = config.frames_or_all(None) if counts is None else max(scale.count(counts, learnt=True), most)
     return (_stand_in(name, config, frames, data.seed, out),)
 
 
@@ -173,10 +204,16 @@ def _folder_piece(name: str, folder: Path) -> DatasetPiece:
 def _of_subject(name: str, data: Data, subject: str) -> SynthConfig:
     """The scenes of one subject: the dataset's, with nobody else in them."""
     plain = merged(dict(data.synth or {}), data.changes.get(subject, {}))
-    people = dict(plain.get("people", {}))
-    own = people.get("own", {})
-    people |= {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
-    return _parsed(f"{name}/{subject}", plain | {"people": people})
+    people: Any = plain.get("people") or {}
+    own: Any = {}
+    if isinstance(people, Mapping):
+        own = people.get("own") or {}
+    if not isinstance(people, Mapping) or not isinstance(own, Mapping):
+        return _parsed(f"{name}/{subject}", plain)  # which refuses it
+    chosen: dict[str, Any] = (
+        {"subjects": [], "own": {subject: own[subject]}} if subject in own else {"subjects": [subject], "own": {}}
+    )
+    return _parsed(f"{name}/{subject}", plain | {"people": {**people, **chosen}})
 
 
 def _parsed(name: str, plain: Mapping[str, Any]) -> SynthConfig:
@@ -194,17 +231,22 @@ def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path)
     crowd = {(f"R{number:04d}", seed) for number in range(people.random.count if people.random else 0)}
     cars: set[Identity] = set()
     if isinstance(config.scene, CabinScene):
-        cars = {(car if isinstance(car, str) else str(getattr(car, "name", "")), None) for car in config.scene.cars}
+        cars = {_car(car if isinstance(car, str) else car.name, seed) for car in config.scene.cars}
         cars |= {(f"C{number:04d}", seed) for number in range(config.scene.random_cars)}
     return DatasetPiece(
         name, out / "data" / key, key, frames, frozenset(named | crowd), frozenset(cars), text, seed
     )  # fmt: skip
 
 
+def _car(name: str, seed: int) -> Identity:
+    """A car or a room of a dataset of a seed."""
+    return name, seed if is_random_car(name) or name.startswith(_ROOM) else None
+
+
 def _cars(dataset: xr.Dataset) -> set[Identity]:
     """The cars, and rooms, of frames."""
     pairs = set(zip(dataset["car"].values.astype(str).tolist(), dataset["seed"].values.tolist(), strict=True))
-    return {(name, int(seed) if _RANDOM_CAR.fullmatch(name) else None) for name, seed in pairs if name}
+    return {_car(name, int(seed)) for name, seed in pairs if name}
 
 
 def check_subjects(source: SelectedFrames, where: str) -> None:
@@ -217,6 +259,8 @@ def check_subjects(source: SelectedFrames, where: str) -> None:
             if name not in there:
                 error = unknown_name(kind, name, sorted(there))
                 raise ConfigError(f"{where}: {error}", hint=error.hint)
+    if not any(piece.config for piece in source.pieces):
+        _refuse_unknown([open_dataset(piece.folder) for piece in source.pieces], source.part, where)
     if source.part.frames is not None and source.part.frames > source.most:
         raise _too_few(where, source.part, source.most)
 
@@ -228,7 +272,14 @@ def _too_few(where: str, part: FrameSelection, there: int) -> ConfigError:
     )
 
 
-def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_sequences: bool = False) -> Drawn:
+def _origin(piece: DatasetPiece, dataset: xr.Dataset) -> str:
+    """Equal where frames of one number are the same frame, however many were made and wherever a copy lies."""
+    return str(dataset.attrs["frames_id"] or piece.folder)
+
+
+def draw(
+    source: SelectedFrames, taken: Sequence[Drawn], where: str, *, apart: Sequence[Drawn] = (), whole_sequences: bool = False
+) -> Drawn:
     """The frames that a part draws: in an order that depends on the selection alone, without those that others have taken.
 
     Parameters
@@ -237,10 +288,13 @@ def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_se
         The part; its folders are there.
     taken
         What others drew.
+    apart
+        What others drew whose sequences are left alone as a whole: the rest of one that they cut shows the same as their frames.
     where
         What errors call it.
     whole_sequences
-        Draw one sequence after the other, for frames that shall not be neighbours of others.
+        Draw one sequence after the other, and of a single one what stands together, for frames that shall not be neighbours of
+        others.
 
     Raises
     ------
@@ -249,18 +303,16 @@ def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_se
     DatasetError
         For a value that the dataset does not have.
     """
-    numbers, positions, sequences = [], [], []
-    for number, piece in enumerate(source.pieces):
-        dataset = open_dataset(piece.folder)
-        free = _selected(dataset, source, where)
-        for other in taken:
-            for other_piece, frames in other:
-                if other_piece.folder == piece.folder:
-                    free[frames] = False
+    numbers, positions, sequences, moving = [], [], [], False
+    datasets = [open_dataset(piece.folder) for piece in source.pieces]
+    _refuse_unknown(datasets, source.part, where)
+    for number, (piece, dataset) in enumerate(zip(source.pieces, datasets, strict=True)):
+        free = _selected(dataset, source.part.selection) & ~_taken(piece, dataset, taken, apart)
         at = np.flatnonzero(free)
         numbers.append(np.full(len(at), number))
         positions.append(at)
         sequences.append(dataset["sequence"].values[at])
+        moving |= len(np.unique(dataset["sync_ns"])) > 1  # single frames are of no time
     of, at, sequence = (np.concatenate(each) for each in (numbers, positions, sequences))
     if not len(at):
         raise ConfigError(
@@ -272,27 +324,46 @@ def draw(source: SelectedFrames, taken: Sequence[Drawn], where: str, *, whole_se
     order = rng.permutation(len(at))
     if whole_sequences:
         _, group = np.unique(np.stack((of, sequence)), axis=1, return_inverse=True)
-        many = group.max() > of.max()  # single frames are all of one sequence
+        many = group.max() > of.max() or moving  # single frames are all of one sequence
         order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable") if many else order[::-1]
     chosen = order[: source.part.frames]
     return [(source.pieces[n], np.sort(at[chosen[of[chosen] == n]])) for n in np.unique(of[chosen]).tolist()]
 
 
-def _selected(dataset: xr.Dataset, source: SelectedFrames, where: str) -> NDArray[np.bool_]:
+def _taken(piece: DatasetPiece, dataset: xr.Dataset, taken: Sequence[Drawn], apart: Sequence[Drawn]) -> NDArray[np.bool_]:
+    """(frame,) whether others have a frame, or one of its sequence where these are left alone."""
+    origin, numbers, sequences = _origin(piece, dataset), dataset["frame"].values, dataset["sequence"].values
+    result = np.zeros(len(numbers), bool)
+    several = len(np.unique(sequences)) > 1  # single frames are all of one sequence
+    for others, whole in ((taken, False), (apart, several)):
+        for other, positions in (each for one in others for each in one):
+            there = open_dataset(other.folder)
+            if _origin(other, there) == origin:
+                name, values = ("sequence", sequences) if whole else ("frame", numbers)
+                result |= np.isin(values, there[name].values[positions])
+    return result
+
+
+def _selected(dataset: xr.Dataset, selection: Mapping[str, tuple[Any, ...]]) -> NDArray[np.bool_]:
     """(frame,) whether a frame of a piece belongs to the selection; values that only other pieces have select nothing here."""
-    selection = {}
-    for name, wanted in source.part.selection.items():
-        there = set(dataset[name].values.ravel().tolist())
-        known = tuple(value for value in wanted if value in there)
-        if not known and len(source.pieces) == 1:
-            known = wanted  # is refused by name
-        if not known:
-            return np.zeros(dataset.sizes["frame"], bool)
-        selection[name] = known
-    try:
-        return frame_mask(dataset, selection)
-    except DatasetError as error:
-        raise DatasetError(f"{where}: {error}", hint=error.hint) from error
+    known = {name: tuple(value for value in wanted if value in _values(dataset, name)) for name, wanted in selection.items()}
+    if not all(known.values()):
+        return np.zeros(dataset.sizes["frame"], bool)
+    return frame_mask(dataset, known)
+
+
+def _values(dataset: xr.Dataset, name: str) -> set[Any]:
+    return set(dataset[name].values.ravel().tolist()) - {""}
+
+
+def _refuse_unknown(datasets: Sequence[xr.Dataset], part: FrameSelection, where: str) -> None:
+    """Raise DatasetError for a value of the selection that no piece has."""
+    for name, wanted in part.selection.items():
+        there = set().union(*(_values(dataset, name) for dataset in datasets))
+        if unknown := [value for value in wanted if value not in there]:
+            raise DatasetError(
+                f"{where}: {part.data} has no {name} {unknown[0]!r}", hint=f"it has: {', '.join(map(str, sorted(there)))}"
+            )
 
 
 def opened(part: FrameSelection, drawn: Drawn) -> dict[str, xr.Dataset]:
@@ -327,6 +398,6 @@ def contents(drawn: Iterable[Drawn]) -> dict[str, set[Any]]:
         found["subject"] |= individuals(some)
         found["car"] |= _cars(some)
         if len(np.unique(whole["sequence"])) > 1:
-            found["sequence"] |= {(str(piece.folder), int(each)) for each in np.unique(some["sequence"])}
-        found["frame"] |= {(str(piece.folder), int(each)) for each in positions}
+            found["sequence"] |= {(_origin(piece, whole), int(each)) for each in np.unique(some["sequence"])}
+        found["frame"] |= {(_origin(piece, whole), int(each)) for each in some["frame"]}
     return found

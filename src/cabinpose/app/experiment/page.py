@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
+from cabinpose.app.experiment.cells import code_state
+from cabinpose.app.experiment.config import file_name
 from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
 from cabinpose.app.experiment.results import Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
 from cabinpose.app.finite import finite
 from cabinpose.app.report.charts import ValueScale, charts, legend, series_chart
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, with_small
 from cabinpose.app.report.raster import curves_chart, write_png
-from cabinpose.core import make_folder, write_together
+from cabinpose.core import ConfigError, make_folder, write_together
 
 PLAN = "experiment.json"
 _INTERVALS = (
-    "Each cell: the mean over the repeats, and below it its 95 % interval by a bootstrap over repeats and frames, then each "
-    "repeat. Intervals over few repeats, and over frames of one sequence, are too narrow. Published figures are of the source's "
+    "Each cell: the mean over the repeats, and below it what 95 of 100 resamples of repeats and single frames give, then each "
+    "repeat. That is no interval of confidence over few repeats, nor where frames are of sequences, in which they resemble each "
+    "other. Mean errors are of the joints that were found, whose share stands below them. Published figures are of the source's "
     "own frames: they stand beside ours to be seen, and are no target."
 )
+_NAMES = 8  # of cells in a line
 _LOSSES = ("training loss", "validation loss")
 
 
@@ -37,16 +42,35 @@ def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: d
     }
     write_together(folder, files)
     for test, lines in results.accuracy.items():
-        write_png(folder / f"accuracy-{_file_name(test)}.png", [_accuracy(test, lines)], lines)
+        write_png(folder / f"accuracy-{file_name(test)}.png", [_accuracy(test, lines)], lines)
     for title, lines in results.curves.items():
         if any(xs for xs, _ in lines.values()):
-            write_png(folder / f"curve-{_file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
+            write_png(folder / f"curve-{file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
 
 
 def is_written(folder: Path, asked: dict[str, object]) -> bool:
     """Whether the page is there, made of the same file and cells."""
     there = all((folder / name).exists() for name in ("index.html", "table.md", PLAN))
     return there and (folder / PLAN).read_text("utf-8") == json.dumps(asked, indent=1) + "\n"
+
+
+def refuse_other(folder: Path, asked: Mapping[str, object]) -> None:
+    """Raise ConfigError where the page there is of another file, or of other folders in place of datasets."""
+    with suppress(OSError, ValueError):
+        found = json.loads((folder / PLAN).read_text("utf-8"))
+        for key, what in (("file", "file"), ("data", "--data")):
+            if isinstance(found, dict) and found.get(key, asked[key]) != asked[key]:
+                raise ConfigError(
+                    f"{folder} has the page of another {what}",
+                    hint="move that folder away, rename the file, or give another --out",
+                )
+
+
+def stale(plan: ExperimentPlan) -> str:
+    """Which cells were made by another state of the code than the one that runs; "" where none was."""
+    names = [cell.name for cell in plan.cells if (record := cell.record) and record.get("code") != code_state()]
+    told = ", ".join(names[:_NAMES]) + (f" and {len(names) - _NAMES} more" if len(names) > _NAMES else "")
+    return f"made by another state of the code than this one: {told}" if names else ""
 
 
 def remarks(plan: ExperimentPlan) -> list[str]:
@@ -67,14 +91,8 @@ def remarks(plan: ExperimentPlan) -> list[str]:
             )
     first = [cell for cells in plan.trained.values() for cell in cells]
     told += [f"{name} is {other} at this scale" for name, other in same_cells(first).items()]
-    states: dict[str, list[str]] = {}
-    for cell in plan.cells:
-        if record := cell.record:
-            states.setdefault(str(record.get("code")), []).append(cell.name)
-    if len(states) > 1:
-        newest = max(states.values(), key=len)
-        others = [name for names in states.values() if names is not newest for name in names]
-        told.append(f"made by another state of the code than the others: {', '.join(others)}")
+    if another := stale(plan):
+        told.append(another)
     missing = sum(not cell.done for cell in plan.cells)
     if missing:
         told.append(f"{missing} of {len(plan.cells)} cells are not made: their numbers are missing")
@@ -111,7 +129,7 @@ def _table(plan: ExperimentPlan, results: Results) -> Html:
     for row in experiment.trainings:
         cells: list[object] = [row]
         for column in experiment.columns:
-            value, span = cell_text(results.numbers[row, column.title])
+            value, span = cell_text(results.numbers[row, column.title], results.found.get((row, column.title)))
             figure = experiment.published.get(row, {}).get(column.title)
             cells.append(with_small(value, " ".join([span, *([] if figure is None else [f"· published {figure:g}"])])))
         rows.append(cells)
@@ -162,7 +180,3 @@ def _frame_rows(plan: ExperimentPlan) -> list[list[str]]:
                 numbers = [sum(s.frames for s in cell.validation), cell.recipe["epochs"], steps, len(cells)]
                 rows.append([told, *map(str, counts), *map(str, numbers)])
     return rows
-
-
-def _file_name(name: str) -> str:
-    return "".join(c if c.isalnum() else "-" for c in name)

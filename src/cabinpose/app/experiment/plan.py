@@ -11,10 +11,13 @@ from cabinpose.app.experiment.cells import DataCell, ExperimentCell, TestCell, T
 from cabinpose.app.experiment.config import Experiment, FrameSelection, RunScale, Training, merged
 from cabinpose.app.experiment.frames import (
     DatasetPiece,
+    Drawn,
     SelectedFrames,
     check_subjects,
     contents,
     digest,
+    needed,
+    opened,
     pieces_of,
     wanted_frames,
 )
@@ -48,10 +51,14 @@ class ExperimentPlan:
         """All cells, each once, none before those that it needs."""
         rows = [cell for cells in self.trained.values() for cell in cells]
         tests = [cell for cells in self.tested.values() for cell in cells]
-        return list({cell.key: cell for cell in reversed([*self.made, *self.first, *rows, *tests])}.values())[::-1]
+        found: dict[str, ExperimentCell] = {}
+        for cell in [*self.made, *self.first, *rows, *tests]:
+            found.setdefault(cell.key, cell)
+        return list(found.values())
 
     def chosen(self, only: Sequence[str]) -> list[ExperimentCell]:
-        """The cells of some trainings, tests or datasets by name ("R1", its second repeat "R1.2", "real"), with what they need.
+        """The cells of some trainings, tests or datasets by name ("R1", its second repeat "R1.2", "real"), or by their own
+        ("R1.2 on S3", "data real/P1"), with what they need.
 
         Raises ConfigError for a name that none has; no names: all.
         """
@@ -65,6 +72,8 @@ class ExperimentPlan:
             for number, each in enumerate(judged, 1):
                 for name in (row, test, f"{row}.{number}"):
                     named.setdefault(name, []).append(each)
+        for cell in self.cells:
+            named.setdefault(cell.name, []).append(cell)
         wanted: set[str] = set()
         for name in dict.fromkeys(only):
             if name not in named:
@@ -77,20 +86,23 @@ class ExperimentPlan:
         return [cell for cell in cells if cell.key in wanted]
 
     def check_frames(self, cells: Iterable[ExperimentCell]) -> None:
-        """Refuse trainings and tests, among cells whose datasets are there, by their very frames. Raises ConfigError."""
+        """Refuse trainings and tests, among cells whose datasets are there, by their very frames, places and images of depth.
+
+        Raises ConfigError, and DatasetError for what a dataset does not have.
+        """
         keys = {cell.key for cell in cells}
         seen: dict[str, Any] = {}
         for (row, test), cells_of in self.tested.items():
-            cell = cells_of[0]
-            if cell.key not in keys:
+            cell = next((each for each in cells_of if each.key in keys), None)  # repeats have the same frames
+            if cell is None:
                 continue
             trained = [cell.trained, *filter(None, [cell.trained.begins])]
             if test not in seen:
-                seen[test] = contents(cell.drawn())
+                seen[test] = _contents(cell.frames, cell.drawn())
             for each in trained:
                 if each.key not in seen:
                     learnt, judged = each.drawn()
-                    seen[each.key] = contents([*learnt, *judged])
+                    seen[each.key] = _contents([*each.train, *each.validation], [*learnt, *judged])
                 for kind, there in seen[test].items():
                     if kind not in self.experiment.tests[test].may_share:
                         _refuse_shared(kind, there & seen[each.key][kind], f"test {test}", f"training {row}")
@@ -193,7 +205,8 @@ class _Planner:
         validation: Sequence[FrameSelection],
         begins: TrainCell | None = None,
     ) -> TrainCell:
-        learnt, judged = (tuple(self._source(part, f"training {name}") for part in side) for side in (train, validation))
+        learnt = tuple(self._source(part, f"training {name}", learnt=True) for part in train)
+        judged = tuple(self._source(part, f"training {name}") for part in validation)
         frames, held = (sum(source.frames for source in side) for side in (learnt, judged))
         recipe = config.model_dump(mode="json")
         facts = {"recipe": recipe, "train": [s.facts for s in learnt], "validation": [s.facts for s in judged]}
@@ -204,8 +217,8 @@ class _Planner:
         folder = self._out / "trained" / f"{config.method}-{key}"  # by its key: other rows and files may name it otherwise
         return TrainCell(name, key, folder, needs, expected, recipe, learnt, judged, begins)
 
-    def _source(self, part: FrameSelection, where: str) -> SelectedFrames:
-        count = None if part.frames is None else self._scale.count(part.frames, part.scaled)
+    def _source(self, part: FrameSelection, where: str, *, learnt: bool = False) -> SelectedFrames:
+        count = None if part.frames is None else self._scale.count(part.frames, part.scaled, learnt=learnt)
         source = SelectedFrames(part.model_copy(update={"frames": count}), self._data[part.data])
         check_subjects(source, where)
         return source
@@ -231,6 +244,18 @@ class _Planner:
         learnt, judged = (set().union(*(self._source(part, where).people for part in side)) for side in (train, validation))
         if "subject" not in may_share:
             _refuse_shared("subject", learnt & judged, where, "its validation", "may_share: [subject] in the training")
+        for (data, subjects), count in needed(self._experiment, self._scale, train, validation).items():
+            pieces = self._data[data]
+            if count and all(piece.config for piece in pieces):  # of folders the frames are counted
+                whole = SelectedFrames(FrameSelection(data=data, subject=subjects, frames=count), pieces)
+                check_subjects(whole, f"{where} and its validation")
+
+
+def _contents(sources: Iterable[SelectedFrames], drawn: Sequence[Drawn]) -> dict[str, set[Any]]:
+    """What is in the frames of some parts, which can be opened as these say."""
+    for source, frames in zip(sources, drawn, strict=True):
+        opened(source.part, frames)
+    return contents(drawn)
 
 
 def _made(sources: Iterable[SelectedFrames]) -> list[str]:

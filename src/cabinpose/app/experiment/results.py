@@ -18,6 +18,7 @@ from cabinpose.core import CABINPOSE
 from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, accuracy_curve, over_repeats
 
 _GRID = np.linspace(0.0, 1.0, 51)  # head sizes
+_ANYWHERE = 1e30  # px or m: what was not found is infinitely far
 Lines = dict[str, tuple[list[float], list[float]]]
 """By name the xs and ys of lines."""
 
@@ -26,12 +27,14 @@ Lines = dict[str, tuple[list[float], list[float]]]
 class Results:
     """What is known of an experiment.
 
-    numbers: by training and title of the column, None where a cell is not there · accuracy: by test, per cent of all joints
+    numbers: by training and title of the column, None where a cell is not there · found: of mean errors, per cent of the joints
+    that were found, over which they are · accuracy: by test, per cent of all joints
     within each part of the head size, by training · by_joint: the same by test and training, by group of joints · curves: by
     title, over numbers of frames.
     """
 
     numbers: Mapping[tuple[str, str], OverRepeats | None]
+    found: Mapping[tuple[str, str], float]
     accuracy: Mapping[str, Lines]
     by_joint: Mapping[tuple[str, str], Lines]
     curves: Mapping[str, Lines]
@@ -44,6 +47,13 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
         (row, column.title): _number(known.runs(plan.tested[row, column.test]), column, resamples)
         for row in experiment.trainings
         for column in experiment.columns
+    }
+    found = {
+        (row, column.title): share.value
+        for row in experiment.trainings
+        for column in experiment.columns
+        if column.measure == "mean_error"
+        if (share := _number(known.runs(plan.tested[row, column.test]), _found(column), 0)) is not None
     }
     accuracy, by_joint = {}, {}
     for test in experiment.tests:
@@ -62,10 +72,10 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
     for curve in experiment.curves:
         curves[curve.title] = {}
         for name, rows in curve.lines.items():
-            points = [(frames_of(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows]
+            points = [(frames_in_all(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows]
             there = sorted((float(x), number.value) for x, number in points if number is not None)
             curves[curve.title][name] = ([x for x, _ in there], [y for _, y in there])
-    return Results(numbers, accuracy, by_joint, curves)
+    return Results(numbers, found, accuracy, by_joint, curves)
 
 
 def _mean_accuracy(
@@ -99,23 +109,39 @@ def _number(runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], column: TableCo
     names = runs[0][1]
     chosen = None if column.joints == ALL else [names.index(j) for j in joints_of(column.joints, names)]
     return over_repeats(
-        [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold, joints=chosen,
+        [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold or 0.5, joints=chosen,
         resamples=resamples,
     )  # fmt: skip
 
 
+def _found(column: TableColumn) -> TableColumn:
+    """What measures how many of a column's joints are found at all."""
+    return column.model_copy(update={"measure": "pck", "threshold": _ANYWHERE})
+
+
 def frames_of(cell: TrainCell, data: str) -> int:
-    """The frames of a dataset that a model learns from."""
+    """The frames of a dataset that a training learns from; planned ones, before it is made."""
+    if isinstance(known := cell.record.get("by_data"), dict):
+        return int(known.get(data, 0))
     return sum(source.frames for source in cell.train if source.part.data == data)
 
 
-def cell_text(number: OverRepeats | None, digits: int = 1) -> tuple[str, str]:
-    """A number, and its interval with the least and the greatest repeat; a dash where there is none."""
+def frames_in_all(cell: TrainCell, data: str) -> int:
+    """The same of a training and of the one that it begins with."""
+    return sum(frames_of(stage, data) for stage in (cell, cell.begins) if stage is not None)
+
+
+def cell_text(number: OverRepeats | None, found: float | None = None, digits: int = 1) -> tuple[str, str]:
+    """A number, and its interval with each repeat and the per cent of joints that it is over; a dash where there is none."""
+    if found == 0.0:
+        return "none found", ""
     if number is None or not math.isfinite(number.value):
         return "–", ""
     span = f"{number.low:.{digits}f} to {number.high:.{digits}f}" if math.isfinite(number.low) else ""
     if len(number.each) > 1:
         span += f" ({', '.join(f'{each:.{digits}f}' for each in number.each)})"
+    if found is not None:
+        span = f"{span}, of {found:.1f} % found".removeprefix(", ")
     return f"{number.value:.{digits}f}", span
 
 
@@ -128,9 +154,8 @@ def table_rows(plan: ExperimentPlan, results: Results) -> list[list[str]]:
     head = ["", *(f"frames of {name}" for name in names), *titles, *(f"{title}, published" for title in published)]
     rows = [head]
     for row, cells in plan.trained.items():
-        stages = [cells[0], *filter(None, [cells[0].begins])]
-        counts = [sum(frames_of(stage, name) for stage in stages) for name in names]
-        told = (cell_text(results.numbers[row, title]) for title in titles)
+        counts = [frames_in_all(cells[0], name) for name in names]
+        told = (cell_text(results.numbers[row, title], results.found.get((row, title))) for title in titles)
         theirs = (experiment.published.get(row, {}).get(title) for title in published)
         rows.append(
             [
@@ -147,11 +172,12 @@ def csv_text(plan: ExperimentPlan, results: Results) -> str:
     """Every number on a line of its own, as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["training", "column", "test", "value", "low", "high", "repeats", "published"])
+    writer.writerow(["training", "column", "test", "value", "low", "high", "repeats", "found", "published"])
     for column in plan.experiment.columns:
         for row in plan.experiment.trainings:
             number = results.numbers[row, column.title]
             figure = plan.experiment.published.get(row, {}).get(column.title, "")
+            share = results.found.get((row, column.title))
             values = ["", "", "", ""]
             if number is not None:
                 values = [
@@ -160,7 +186,7 @@ def csv_text(plan: ExperimentPlan, results: Results) -> str:
                     f"{number.high:.4f}",
                     " ".join(f"{e:.4f}" for e in number.each),
                 ]
-            writer.writerow([row, column.title, column.test, *values, figure])
+            writer.writerow([row, column.title, column.test, *values, "" if share is None else f"{share:.4f}", figure])
     return text.getvalue()
 
 

@@ -24,6 +24,7 @@ class LiftingMethod(NetworkMethod[LiftingConfig]):
     task = "lift"
     settings_type = LiftingConfig
     outputs = ("relative", "root")
+    of_places = False
     learning_rate = 1e-3
     weight_decay = 0.01
 

@@ -24,6 +24,7 @@ class UnetMethod(NetworkMethod[UnetConfig]):
     task = "parts"
     settings_type = UnetConfig
     outputs = ("person", "parts")
+    of_places = False
     learning_rate = 1e-3
     weight_decay = 0.01
 
