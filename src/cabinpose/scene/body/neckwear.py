@@ -98,7 +98,8 @@ def _leaf(neck: Neck, angle: Floats, fold: Floats, height: Floats, length: Float
     origin = neck.root + low[..., None] * neck.tilted
     origin[..., 2] -= rise * hangs
     direction = np.concatenate([across, rise[:, None]], axis=1) + np.zeros(origin.shape)
-    near = neck.cloud.where((np.abs(neck.cloud.points - neck.root) < _NEAR_M * neck.size).all(axis=1))  # others cost time alone
+    far = np.abs(neck.cloud.points - neck.root).max(axis=1)
+    near = neck.cloud.where(far < _NEAR_M * neck.size)  # others cost time alone
     made = drape(near, origin, direction, ball=0.014 * neck.size, off=0.006 * neck.size, sweeps=2, closed=False)
     lies = np.einsum("ijk,ijk->ij", made.points - origin, made.outwards)
     hangs = hangs * rp.power(1.0 + rise * rise, 0.5)
