@@ -122,7 +122,7 @@ def _turned_down(neck: Neck, of: Garment, high: float, gap_deg: float) -> Access
     rows = -0.012 + (high + 0.012 - _lower(angle)) * np.array((0.0, 0.22, 0.48, 0.74, 0.94, 1.0))[:, None]
     off = np.array((0.001, 0.002, 0.003, 0.004, 0.005, 0.009))[:, None] + 0.0 * angle
     stand = _standing(neck, angle, rows, off, closed=False)
-    length = 0.8 * high + 0.035 * np.clip(rp.cos(angle), 0, 1) ** 6  # its corners are pointed
+    length = 0.8 * high + 0.035 * rp.power(np.clip(rp.cos(angle), 0, 1), 6.0)  # its corners are pointed
     leaf = _leaf(neck, angle, stand.points[-1], neck.long * rows[-1], length)
     weights = stand.weights[-1] + _DOWN[..., None] * (leaf.weights - stand.weights[-1])
     whole = Draped(

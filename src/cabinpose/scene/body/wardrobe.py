@@ -100,6 +100,6 @@ def _front(cloud: Cloud, neck: Floats, side: float, of: Garment) -> Accessory:
     origin[..., 2] = up * neck[2] - top * 0.5 * (aside - aside[:, :1])
     free = rp.power(1 - out, 1.5)
     stands = 0.012 + 0.022 * np.clip((0.8 - up) / 0.6, 0.0, 1.0) + 0.004 * rp.sin(14.0 * up + side)
-    off = 0.004 - 0.009 * out**2 + free * stands * (1.0 - top) - 0.009 * top**4
+    off = 0.004 - 0.009 * out**2 + free * stands * (1.0 - top) - 0.009 * rp.power(top, 4.0)
     direction = np.broadcast_to((1.0, 0.0, 0.0), origin.shape)
     return drape(cloud, origin, direction, ball=0.03, off=off, sweeps=10, closed=False).cloth(0.004, of, closed=False)
