@@ -43,7 +43,7 @@ _WORN_FROM: tuple[tuple[float, str, str | bool, str | bool], ...] = (
     *((_WALKS_YEARS, "headwear", name, "none") for name in ("hood", "hat")),
     *((_WALKS_YEARS, "bottom", name, "trousers") for name in ("jeans", "skirt", "long_skirt", "dress")),
     *((_WALKS_YEARS, "shoes", name, "none") for name in ("trainers", "leather")),
-    (SEATED_YEARS, "top", "coat", "jumper"), (SEATED_YEARS, "mask", True, False),
+    (_WALKS_YEARS, "top", "hoodie", "jumper"), (SEATED_YEARS, "top", "coat", "jumper"), (SEATED_YEARS, "mask", True, False),
     *((SEATED_YEARS, "glasses", name, "none") for name in ("clear", "sun")),
     (8.0, "headwear", "headscarf", "none"),
 )  # fmt: skip
