@@ -93,14 +93,14 @@ def test_it_says_what_it_is_and_is_no_model_for_the_package(whole: dict[str, Pat
 @pytest.mark.parametrize("name", ["paf", "lift", "parts"])
 def test_other_models_have_none(name: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="has no whole graph"):
-        whole_graph.write_whole(OnnxModel(packaged_models()[name]), tmp_path / "whole.onnx", "m")
+        whole_graph.write_whole_graph(OnnxModel(packaged_models()[name]), tmp_path / "whole.onnx", "m")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_graph_that_answers_something_else_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(whole_graph, "_centre", lambda k: k[:2, 2] + 0.7)
     with pytest.raises(ModelError, match=r"joints differ by .* m"):
-        whole_graph.write_whole(OnnxModel(packaged_models()["room"]), tmp_path / "whole.onnx", "m")
+        whole_graph.write_whole_graph(OnnxModel(packaged_models()["room"]), tmp_path / "whole.onnx", "m")
     assert not list(tmp_path.iterdir())
 
 

@@ -30,7 +30,6 @@ from cabinpose.core import (
     FrameBatch,
     make_folder,
     read_arrays,
-    unknown_name,
     whole_file,
     write_whole,
 )
@@ -215,16 +214,3 @@ def judged(test: Test, found: Answers, method: str, options: EvaluationOptions) 
     plain = evaluate_itop(test.reference, found.joints_3d, note).value("PCK", "3d", threshold=10.0)
     report = evaluate_itop(test.reference, as_labelled(found.joints_3d), options, model=method, name=test.name)
     return report, plain.value if plain is not None else None
-
-
-def named(words: Sequence[str], flag: str, methods: Sequence[str]) -> dict[str, str]:
-    """{"paf": "x.onnx"} of ("paf=x.onnx",); ConfigError for other words, or a method that is not compared."""
-    result = {}
-    for word in words:
-        name, equals, value = word.partition("=")
-        if not equals or not value:
-            raise ConfigError(f"{flag} {word} names no file", hint=f"write {flag} {methods[0]}=FILE")
-        if name not in methods:
-            raise unknown_name("method", name, list(methods))
-        result[name] = value
-    return result

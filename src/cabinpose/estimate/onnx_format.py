@@ -51,7 +51,7 @@ class OnnxFormat(ModelFormat):
         from cabinpose.estimate.export import export_onnx, write_copy  # noqa: PLC0415 - torch
         from cabinpose.estimate.int8 import write_int8  # noqa: PLC0415 - ONNX Runtime
         from cabinpose.estimate.onnx_model import DRIVE_SIDE, OnnxModel, packaged_models  # noqa: PLC0415 - ONNX Runtime
-        from cabinpose.estimate.whole_graph import write_whole  # noqa: PLC0415 - torch
+        from cabinpose.estimate.whole_graph import write_whole_graph  # noqa: PLC0415 - torch
 
         source, difference = packaged_models().get(str(checkpoint), checkpoint), math.nan
         if out.exists() and not overwrite:
@@ -77,7 +77,7 @@ class OnnxFormat(ModelFormat):
                 write_int8(OnnxModel(source, threads=1), calibrating, last)
                 source = last
             if options.whole is not None:
-                apart = write_whole(OnnxModel(source, threads=1), out, options.whole)
+                apart = write_whole_graph(OnnxModel(source, threads=1), out, options.whole)
                 difference = apart if math.isnan(difference) else max(apart, difference)
         return difference
 

@@ -116,7 +116,7 @@ def _unfolded(xy: Tensor, dist: Tensor) -> Tensor:
     return radius <= torch.where(grows, torch.inf, tried).min()
 
 
-def write_whole(model: OnnxModel, out: Path, unit: DepthUnit) -> float:
+def write_whole_graph(model: OnnxModel, out: Path, unit: DepthUnit) -> float:
     """Write a model as one graph from images to joints.
 
     Its inputs are `camera_k` (3, 3) and `camera_dist` (5,), float64, px and OpenCV's k1 k2 p1 p2 k3, `depth` (frames, height,

@@ -95,18 +95,28 @@ def _pck(view: SampleView) -> Iterator[Number]:
         yield from view.share(view.found & (view.error <= np.float32(t)), view.counts, TRUE, threshold=view.length(t))
 
 
+def within_head(error: NDArray[np.floating], head: NDArray[np.floating], alpha: float) -> NDArray[np.bool_]:
+    """Which errors are at most a part of the head size; False for those that are NaN."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(error <= alpha * head)
+
+
+def area_to_half(error: NDArray[np.floating], head: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The area, 0 to 1, under the accuracy of each error over parts of the head size from 0 to 0.5."""
+    with np.errstate(invalid="ignore"):
+        return np.clip(1 - error / (0.5 * head), 0, None)
+
+
 def _pckh(view: SampleView) -> Iterator[Number]:
     sized = view.counts & np.isfinite(view.head)
     for alpha in view.options.pckh:
-        with np.errstate(invalid="ignore"):
-            near = sized & view.found & (view.error <= alpha * view.head)
+        near = sized & view.found & within_head(view.error, view.head, alpha)
         yield from view.share(near, sized, TRUE, threshold=Threshold(alpha, _head_size(view)))
 
 
 def _auc(view: SampleView) -> Iterator[Number]:
     sized = view.counts & np.isfinite(view.head)
-    with np.errstate(invalid="ignore"):
-        area = np.where(sized & view.found, np.clip(1 - view.error / (0.5 * view.head), 0, None), 0)
+    area = np.where(sized & view.found, area_to_half(view.error, view.head), 0)
     return view.share(area, sized, TRUE, threshold=Threshold(0.5, _head_size(view)))
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cabinpose.core import intersection_over_union, whole_person
 from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_sums
+from cabinpose.evaluate.metrics import area_to_half, within_head
 from cabinpose.evaluate.samples import Samples
 
 Array = NDArray[np.float64]
@@ -124,8 +125,7 @@ def _resampled(
     counts = ~np.isnan(errors)
     if measure in ("pckh", "auc"):
         counts &= np.isfinite(head)
-        shares = errors / head
-        top = shares <= threshold if measure == "pckh" else np.clip(1.0 - shares / 0.5, 0.0, None)
+        top = within_head(errors, head, threshold) if measure == "pckh" else area_to_half(errors, head)
     elif measure == "pck":
         top = errors <= np.float32(threshold)
     else:

@@ -19,7 +19,7 @@ from cabinpose.synth.plan import Plan
 from cabinpose.synth.posture import FREE_POSES, WITHOUT_SEAT, choose_setting, with_leg_room
 from cabinpose.synth.posture.neighbours import close_seats, half_breadth
 from cabinpose.synth.posture.sampling import OccupantPose
-from cabinpose.synth.posture.seating import is_before
+from cabinpose.synth.posture.seating import behind, is_before
 from cabinpose.synth.scene import ScenePerson, Tongue
 from cabinpose.synth.streams import weighted
 from cabinpose.synth.things import (
@@ -37,7 +37,7 @@ from cabinpose.synth.validate import Validator
 
 SITS_YEARS = 1.0  # from when on a child sits on a car's own seat (assumed: of those who are there, few do)
 _FOR_LEGS_M = 0.08  # by which a front passenger's seat is slid forwards for a child behind it
-_TOES_M, _BACKREST_M = 0.68, 0.11  # of a child in a child seat, from the backrest; depth of the backrest before it
+_TOES_M = 0.68  # of a child in a child seat, from the backrest
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +225,8 @@ def _moved_forwards(cabin: Cabin, slot: str, settings: Mapping[str, SeatSetting]
         return {}
     front, setting, moved = cabin.seats[name], settings[name], _FOR_LEGS_M
     if name == "driver":
-        back = float(front.h_point(setting)[0]) - front.backrest_behind_h_m - _BACKREST_M
         toes = float(cushion_frame(seat, settings.get(slot, seat.default))[0, 3]) + _TOES_M
-        moved = min(max(toes - back, 0.0), _FOR_LEGS_M)
+        moved = min(max(toes - behind(front, setting), 0.0), _FOR_LEGS_M)
     return {name: replace(setting, fore_aft_m=min(setting.fore_aft_m + moved, front.ranges[1].fore_aft_m))}
 
 

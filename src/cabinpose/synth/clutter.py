@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,6 @@ _GAP_M, _STEPS = 0.003, 8  # between a thing and what does not carry it; places 
 _SEEN_M = 0.06  # how far the surfaces of a car are looked for: farther than cups stand in their holders
 _IN_FRONT, _APART_M = ("gear lever", "screen", "steering column"), 0.006  # of the car, what stands where things may lie
 _FLOOR_AHEAD_M = -0.06  # of the heels
-Owner = TypeVar("Owner")
 _LYING = axis_rotation("x", 0.5 * math.pi)
 _KEPT = 512  # things in their places in a car
 _SPOTS = 12  # of 36, that they are found again
@@ -142,11 +141,7 @@ class _Drawn(NamedTuple):
     spot: int
 
 
-def _itself(owner: Owner) -> Owner:
-    return owner
-
-
-@kept_with(_KEPT, _itself)
+@kept_with(_KEPT)
 def _standing(validator: Validator, cabin: Cabin, chosen: _Drawn) -> _Lying | None:
     """A thing in its place in a car without people, moved inwards until it is in nothing of it; None without room."""
     place = PLACES_OF_CLUTTER[chosen.name]
@@ -159,9 +154,11 @@ def _standing(validator: Validator, cabin: Cabin, chosen: _Drawn) -> _Lying | No
 
 def _is_in_the_car(one: _Lying, contact: ContactField) -> bool:
     """Whether a thing is in no part of the car's body, and not beyond it."""
-    bodies = [group for group in contact.groups if group.interior]
-    return all(stands_free(felt(group, 0.0, -_GAP_M, one.on), one.thing.cloud, one.at) for group in bodies) and all(
-        stands_inside(group, one.thing.cloud, one.at, one.on, _SEEN_M) for group in bodies
+    return all(
+        stands_free(felt(group, 0.0, -_GAP_M, one.on), one.thing.cloud, one.at)
+        and stands_inside(group, one.thing.cloud, one.at, one.on, _SEEN_M)
+        for group in contact.groups
+        if group.interior
     )
 
 
@@ -223,13 +220,13 @@ def _put(cabin: Cabin, chosen: _Drawn, step: int) -> _Lying | None:
     return _Lying(thing, at, box, _FASTENED_TO.get(kind, place.on))
 
 
-@kept_with(1, _itself)
+@kept_with(1)
 def _parts(cabin: Cabin) -> Mapping[str, Part]:
     """The parts of a car by name."""
     return {part.name: part for part in cabin.parts}
 
 
-@kept_with(len(PLACES_OF_CLUTTER), _itself)
+@kept_with(len(PLACES_OF_CLUTTER))
 def _carrying(cabin: Cabin, on: tuple[str, ...]) -> _Carrying:
     """The triangles of the parts of these names."""
     parts = _parts(cabin)

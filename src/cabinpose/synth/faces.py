@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import Floats
+from cabinpose.core import Floats, at_rank
 from cabinpose.core import reproducible as rp
 from cabinpose.scene.body import BONE_INDEX, Face, load_faces
 from cabinpose.scene.cabin import Cabin
@@ -78,8 +78,7 @@ def _drawn(person: ScenePerson, cabin: Cabin | None, *, rng: np.random.Generator
     u = rng.random(_DRAWS).tolist()
     asleep = person.action in ASLEEP
     among = _ASLEEP if asleep else EXPRESSIONS
-    ends = np.cumsum([each.share for each in among.values()])
-    name = list(among)[int(np.searchsorted(ends / ends[-1], u[0], side="right"))]
+    name = at_rank({each: of.share for each, of in among.items()}, u[0])
     posed = person.posed
     away_m = min(rp.norm(posed.palms[side][:3, 3] - posed.eyes_m) for side in "lr")
     left = min(max((away_m - _BUSY_MOUTH_M) / _FADING_M, 0.0), 1.0)

@@ -49,7 +49,7 @@ def cached_once(maxsize: int) -> Callable[[Callable[[Unpack[Args]], R]], Callabl
 
 
 def kept_with(
-    most: int, key: Callable[[Owner], Any]
+    most: int, key: Callable[[Any], Any] | None = None
 ) -> Callable[[Callable[[Owner, Unpack[Args]], R]], Callable[[Owner, Unpack[Args]], R]]:
     """A cache of functions of an object that is released together with it: the object is held by a weak reference only.
 
@@ -58,7 +58,7 @@ def kept_with(
     most
         How many results are kept for one object: those that were made last.
     key
-        What stands for the object, and can be weakly referred to.
+        What stands for the object, and can be weakly referred to; by default the object itself.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def kept_with(
         @wraps(function)
         def remembered(owner: Owner, *args: *Args) -> R:
             with lock:
-                mine = known.setdefault(key(owner), {})
+                mine = known.setdefault(owner if key is None else key(owner), {})
                 if args in mine:
                     return mine[args]
             result = function(owner, *args)  # two threads may both come here: the results are equal

@@ -131,6 +131,15 @@ def metres(centimetres: str) -> str:
         return centimetres
 
 
+def workers_of(workers: int | None, scheduler: str | None, local: str) -> int | str | None:
+    """Who works: the scheduler's address, or how many `local` workers; ConfigError where both are given."""
+    if workers is not None and scheduler is not None:
+        raise ConfigError(
+            f"--workers are {local}, --scheduler is a cluster elsewhere", hint="give one of --workers and --scheduler"
+        )
+    return workers if scheduler is None else scheduler
+
+
 def refuse(flags: Mapping[str, object], message: str) -> None:
     """ConfigError for the first flag that was given; `{}` in the message is its name."""
     for flag, value in flags.items():

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, several
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, several, workers_of
 from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, unknown_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from cabinpose.app.experiment.cells import ExperimentCell
     from cabinpose.app.experiment.plan import ExperimentPlan
@@ -130,10 +130,7 @@ def _run(command: RunExperiment) -> None:
     from cabinpose.app.experiment.results import results_of
     from cabinpose.app.experiment.schedule import make_cells
 
-    if command.workers is not None and command.scheduler is not None:
-        raise ConfigError(
-            "--workers are processes of this machine, --scheduler is a cluster elsewhere", hint="give one of the two"
-        )
+    workers = workers_of(command.workers, command.scheduler, "processes of this machine") or os.cpu_count() or 1
     if command.workers is not None and command.workers < 1:
         raise ConfigError(f"cannot work with {command.workers} workers", hint="ask for at least 1 worker")
     _check_resamples(command.resamples)
@@ -143,7 +140,6 @@ def _run(command: RunExperiment) -> None:
     refuse_other(folder, asked)
     cells = plan.chosen(command.only)
     missing = [cell for cell in cells if not cell.done]
-    workers = command.scheduler or command.workers or os.cpu_count() or 1
     with progress(len(cells), "cells", start=len(cells) - len(missing)) as shown:
         done = len(cells) - len(missing)
 
@@ -174,12 +170,7 @@ def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[E
     from cabinpose.app.experiment.config import find, load, packaged
     from cabinpose.app.experiment.plan import make_plan
 
-    given = {}
-    for word in data:
-        key, equals, folder = word.partition("=")
-        if not equals or not folder:
-            raise ConfigError(f"--data {word} names no folder", hint="write --data real=FOLDER")
-        given[key] = Path(folder)
+    given = {key: Path(folder) for key, folder in _named(data, "--data", "real=FOLDER").items()}
     path = find(name)
     experiment = load(path)
     asked: dict[str, object] = {
@@ -188,6 +179,18 @@ def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[E
         "data": {key: str(folder.resolve()) for key, folder in given.items()},
     }  # fmt: skip
     return make_plan(experiment, scale, out.resolve(), given), asked
+
+
+def _named(words: Sequence[str], flag: str, example: str) -> dict[str, str]:
+    """{"paf": "x.onnx"} of ("paf=x.onnx",); ConfigError for other words. example: of a word, with what it names behind `=`."""
+    result = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals or not value:
+            what = example.partition("=")[2].lower()
+            raise ConfigError(f"{flag} {word} names no {what}", hint=f"write {flag} {example}")
+        result[name] = value
+    return result
 
 
 def _check_resamples(resamples: int) -> None:
@@ -275,7 +278,7 @@ def _report(command: Remake) -> None:
 
 def _compare(command: Compare) -> None:
     from cabinpose.app.cli.evaluate import write_boxes, write_report
-    from cabinpose.app.compare import answers, judged, named, of_joints, open_test
+    from cabinpose.app.compare import answers, judged, of_joints, open_test
     from cabinpose.app.report.comparison import comparison_html, joint_rows, table_rows
     from cabinpose.app.report.detectors import page_html
     from cabinpose.evaluate import EvaluationOptions
@@ -283,7 +286,11 @@ def _compare(command: Compare) -> None:
     methods = of_joints(own=True) if command.methods is None else [word for word in command.methods.split(",") if word]
     if not methods or len(set(methods)) < len(methods):
         raise ConfigError(f"--methods {command.methods} names no method, or one twice", hint="write --methods yolo,paf,compact")
-    given, recipes = named(command.model, "--model", methods), named(command.recipe, "--recipe", methods)
+    given, recipes = (
+        _named(words, flag, f"{methods[0]}=FILE") for words, flag in ((command.model, "--model"), (command.recipe, "--recipe"))
+    )
+    if unknown := [name for name in (*given, *recipes) if name not in methods]:
+        raise unknown_name("method", unknown[0], methods)
     options = EvaluationOptions(resamples=command.resamples)
     tests = {test.name: test for test in (open_test(path, command.out, command.correct) for path in command.test)}
     if len(tests) < len(command.test):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, several, workers_of
 from cabinpose.app.cli.output import listed, print_json, print_rows, progress
 from cabinpose.core import ConfigError
 
@@ -58,11 +58,7 @@ def run(command: Synth) -> None:
     """Generate with a progress bar, then report speed, acceptance and content."""
     from cabinpose.synth import SynthConfig, generate
 
-    if command.workers is not None and command.scheduler is not None:
-        raise ConfigError(
-            "--workers are threads of this process, --scheduler is a cluster elsewhere",
-            hint="give one of --workers and --scheduler",
-        )
+    workers = workers_of(command.workers, command.scheduler, "threads of this process")
     if command.resume and command.overwrite:
         raise ConfigError("a dataset is either resumed or overwritten", hint="give one of --resume and --overwrite")
     styled = () if command.style is None else (f"style.by={json.dumps(str(command.style.resolve()))}",)
@@ -87,7 +83,6 @@ def run(command: Synth) -> None:
                 _warn_of_rejections(state, accepted)
 
         existing: Existing = "resume" if command.resume else "overwrite" if command.overwrite else "refuse"
-        workers = command.workers if command.scheduler is None else command.scheduler
         result = generate(config, frames, command.out, seed=command.seed, workers=workers, existing=existing, progress=show)
     if command.as_json:
         print_json(dataclasses.asdict(result))

@@ -10,7 +10,7 @@ from pathlib import Path
 from cabinpose.app.experiment.cells import code_state
 from cabinpose.app.experiment.config import file_name
 from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
-from cabinpose.app.experiment.results import Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
+from cabinpose.app.experiment.results import Lines, Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
 from cabinpose.app.finite import finite
 from cabinpose.app.report.charts import ValueScale, charts, legend, series_chart
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, with_small
@@ -38,20 +38,23 @@ def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: d
         "table.md": markdown(plan, rows),
         "table.csv": csv_text(plan, results),
         "report.json": json.dumps(finite({"title": plan.experiment.title, "numbers": numbers}), allow_nan=False, indent=1) + "\n",
-        PLAN: json.dumps(asked, indent=1) + "\n",
+        PLAN: _asked_text(asked),
     }
     write_together(folder, files)
     for test, lines in results.accuracy.items():
         write_png(folder / f"accuracy-{file_name(test)}.png", [_accuracy(test, lines)], lines)
     for title, lines in results.curves.items():
-        if any(xs for xs, _ in lines.values()):
-            write_png(folder / f"curve-{file_name(title)}.png", [series_chart(title, "frames", lines, size=(640, 300))], lines)
+        write_png(folder / f"curve-{file_name(title)}.png", [_over_count(title, lines)], lines)
 
 
 def is_written(folder: Path, asked: dict[str, object]) -> bool:
     """Whether the page is there, made of the same file and cells."""
     there = all((folder / name).exists() for name in ("index.html", "table.md", PLAN))
-    return there and (folder / PLAN).read_text("utf-8") == json.dumps(asked, indent=1) + "\n"
+    return there and (folder / PLAN).read_text("utf-8") == _asked_text(asked)
+
+
+def _asked_text(asked: Mapping[str, object]) -> str:
+    return json.dumps(asked, indent=1) + "\n"
 
 
 def refuse_other(folder: Path, asked: Mapping[str, object]) -> None:
@@ -136,7 +139,7 @@ def _table(plan: ExperimentPlan, results: Results) -> Html:
     return table(rows)
 
 
-def _accuracy(test: str, lines: dict[str, tuple[list[float], list[float]]]) -> Html:
+def _accuracy(test: str, lines: Lines) -> Html:
     return series_chart(test, "head sizes", lines, scale=ValueScale(top=100.0), size=(640, 300))
 
 
@@ -156,9 +159,12 @@ def _accuracies(results: Results) -> str:
 def _over_frames(results: Results) -> str:
     drawn = []
     for title, lines in results.curves.items():
-        if any(xs for xs, _ in lines.values()):
-            drawn += [legend(lines), charts([series_chart(title, "frames", lines, size=(640, 300))], "two")]
+        drawn += [legend(lines), charts([_over_count(title, lines)], "two")]
     return join(drawn)
+
+
+def _over_count(title: str, lines: Lines) -> Html:
+    return series_chart(title, "frames", lines, size=(640, 300))
 
 
 def _losses(plan: ExperimentPlan) -> str:

@@ -30,7 +30,7 @@ class Results:
     numbers: by training and title of the column, None where a cell is not there · found: of mean errors, per cent of the joints
     that were found, over which they are · accuracy: by test, per cent of all joints
     within each part of the head size, by training · by_joint: the same by test and training, by group of joints · curves: by
-    title, over numbers of frames.
+    title, over numbers of frames, of those that have a point.
     """
 
     numbers: Mapping[tuple[str, str], OverRepeats | None]
@@ -70,11 +70,13 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
             accuracy[test] = lines
     curves: dict[str, Lines] = {}
     for curve in experiment.curves:
-        curves[curve.title] = {}
+        drawn: Lines = {}
         for name, rows in curve.lines.items():
             points = [(frames_in_all(plan.trained[row][0], curve.over), numbers[row, curve.column]) for row in rows]
             there = sorted((float(x), number.value) for x, number in points if number is not None)
-            curves[curve.title][name] = ([x for x, _ in there], [y for _, y in there])
+            drawn[name] = ([x for x, _ in there], [y for _, y in there])
+        if any(xs for xs, _ in drawn.values()):
+            curves[curve.title] = drawn
     return Results(numbers, found, accuracy, by_joint, curves)
 
 

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 
 _Q = len(DOFS)
 ROOT, WHEEL = slice(_Q, _Q + 6), _Q + 6
-FINGERS = slice(_Q + 7, _Q + 39)
-WIDTH = _Q + 39
+_HANDS = 2, 16  # hands, numbers of each
+FINGERS = slice(_Q + 7, _Q + 7 + _HANDS[0] * _HANDS[1])
+WIDTH = FINGERS.stop
 _COMFORT = 0.15  # of the fastest, at the peak of an unhurried movement
 _FASTEST_ROOT = np.concatenate((np.full(3, 1.5), np.full(3, np.radians(280.0))))  # m/s and rad/s, with the trunk
 _FASTEST_FINGERS = 2.0 * FASTEST_GRIP  # from open to fist, 1/s: unhurried ones take half a second (assumed)
 _FASTEST_WHEEL = 2.0 * np.pi  # rad/s; the arms that hold it have limits of their own
-FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL], np.full(32, _FASTEST_FINGERS)))
+FASTEST_STATE = np.concatenate((FASTEST, _FASTEST_ROOT, [_FASTEST_WHEEL], np.full(_HANDS[0] * _HANDS[1], _FASTEST_FINGERS)))
 _SHORTEST_S = 0.35
 CLOSING_S, _OPEN_S = 0.25, 0.8  # in which fingers open, and close around something; for which they stay open before and after
 _GRIPS = [DOF_INDEX[side + "hand.grip"] for side in "lr"]
@@ -186,7 +187,7 @@ class Track:
         root = transform(rp.matmul(self._rotation, rotation_vector(state[ROOT][3:])), state[ROOT][:3])
         q = np.clip(state[:_Q], LOWER, UPPER)
         q[_GRIPS] = np.maximum(q[_GRIPS], _LEAST_GRIP)
-        return Pose(q, root, float(state[WHEEL]), np.clip(state[FINGERS].reshape(2, 16), *_CURL))
+        return Pose(q, root, float(state[WHEEL]), np.clip(state[FINGERS].reshape(_HANDS), *_CURL))
 
     def states(self, times_s: Floats) -> Floats:
         """(N, 83) states at times (N,) s, breathing included."""

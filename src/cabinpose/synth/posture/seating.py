@@ -145,10 +145,15 @@ def with_leg_room(settings: Mapping[str, SeatSetting], people: Mapping[str, Pers
         knee = hip + slide + _RAISED_THIGH * thigh + _KNEE_M
         h_point = front.h_point(own)
         above = np.sqrt(1.0 - _RAISED_THIGH**2) * thigh + float(seat.h_point(settings[slot])[2] - h_point[2])
-        back = float(h_point[0]) - front.backrest_behind_h_m - _BACKREST_M - above * float(rp.tan(own.torso_angle))
+        back = behind(front, own) - above * float(rp.tan(own.torso_angle))
         moved = min(max(knee - back, 0.0), _MOVED_M[before])
         result[before] = replace(own, fore_aft_m=min(own.fore_aft_m + moved, max(front.ranges[1].fore_aft_m, own.fore_aft_m)))
     return result
+
+
+def behind(front: Seat, setting: SeatSetting) -> float:
+    """x of the back of a seat's backrest at the height of its H-point, m."""
+    return float(front.h_point(setting)[0]) - front.backrest_behind_h_m - _BACKREST_M
 
 
 def is_before(front: Seat, seat: Seat) -> bool:
@@ -189,12 +194,12 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, tast
 
     # Trunk and thighs as the default's fit has them, turned about the hips by how much farther a backrest leans.
     fit = fit_seat(person, seat, seat.default.torso_angle)
-    hip = h_points + fit.seat_from_root[:3, 3]
+    at_hip = fit.seat_from_root[:3, 3]
+    hip = h_points + at_hip
     leg = rp.hypot(*(ankle - hip)[:, [0, 2]].T)
     knee = _flexion(thigh, shin, leg)
     dorsiflexion = pad_angle - 0.5 * np.pi + _shin_angle(hip, ankle, thigh, shin, leg)
     thigh_gap = _under_rim(hip, ankle, thigh, shin, rim_bottom, float(fit.thigh_top.max())) - wheel.rim_section_m
-    at_hip = fit.seat_from_root[:3, 3]
     beside = wheel.rim_radius_m - 0.5 * abs(fit.shoulders[0, 1] - fit.shoulders[1, 1])
     common = (
         ((knee - _KNEE) / _KNEE_SPREAD + _TASTE * taste) ** 2
@@ -205,8 +210,7 @@ def _driver_setting(person: Person, cabin: Cabin, slot: str, height: float, tast
         + np.minimum((np.maximum(_THIGH_GAP_M - thigh_gap, 0.0) / _THIGH_SPREAD_M) ** 2, _MOST_UNEASE)
     )
 
-    asked = np.clip(seat.default.torso_angle + np.radians(_RECLINES_DEG), low.torso_angle, high.torso_angle)
-    reclines = np.unique(asked)
+    reclines = np.unique(np.clip(seat.default.torso_angle + np.radians(_RECLINES_DEG), low.torso_angle, high.torso_angle))
     unease = ((reclines - seat.default.torso_angle) / _RECLINE_SPREAD) ** 2
     turns = np.stack([axis_rotation("y", float(angle)) for angle in seat.default.torso_angle - reclines])
     shoulder = at_hip + rp.matmul(turns, fit.shoulders.mean(axis=0) - at_hip)  # (R, 3) of R reclines
