@@ -4,11 +4,16 @@ from .boxes import box_of as box_of
 from .boxes import boxes_by_range as boxes_by_range
 from .caveats import Caveats as Caveats
 from .caveats import trained_words as trained_words
+from .groups import Grouping as Grouping
+from .groups import Worst as Worst
+from .groups import groupings as groupings
+from .groups import read_group_by as read_group_by
 from .itop import evaluate_itop as evaluate_itop
 from .itop import itop_summary as itop_summary
 from .metrics import METRICS as METRICS
 from .metrics import Metric as Metric
 from .metrics import Value as Value
+from .metrics import value_among as value_among
 from .mistakes import MISTAKES as MISTAKES
 from .mistakes import Explanation as Explanation
 from .mistakes import Mistake as Mistake

@@ -50,12 +50,12 @@ def weighted_quantiles(values: Array, at: NDArray[np.int64], weights: Weights, s
     return result
 
 
-def interval(resampled: Array) -> tuple[Array, Array]:
+def interval(resampled: Array, level: float = LEVEL) -> tuple[Array, Array]:
     """The percentile interval over the first axis, ignoring resamples without a value; NaN where none has one."""
     low, high = np.full(resampled.shape[1:], np.nan), np.full(resampled.shape[1:], np.nan)
     if not len(resampled):
         return low, high
-    tails = (1 - LEVEL) / 2, (1 + LEVEL) / 2
+    tails = (1 - level) / 2, (1 + level) / 2
     known = np.isfinite(resampled)
     whole, some = known.all(axis=0), known.any(axis=0)
     low[whole], high[whole] = np.quantile(resampled[:, whole], tails, axis=0)

@@ -51,6 +51,18 @@ class Value:
     average: str = "pooled"
 
 
+def value_among(
+    values: Iterable[Value], metric: str, space: str, joints: str, threshold: float | None = None, visibility: str = ANY
+) -> Value | None:
+    """The number of that name; with `threshold` left out, the first one. None if there is none."""
+    for v in values:
+        if (v.metric, v.space, v.joints, v.visibility) == (metric, space, joints, visibility) and (
+            threshold is None or (v.threshold is not None and abs(v.threshold - threshold) < 1e-9)
+        ):
+            return v
+    return None
+
+
 @dataclass(frozen=True)
 class Metric:
     """One metric.

@@ -14,7 +14,8 @@ import numpy as np
 from cabinpose.core import CABINPOSE
 from cabinpose.evaluate.boxes import Boxes, boxes_by_range
 from cabinpose.evaluate.caveats import Caveats
-from cabinpose.evaluate.metrics import METRICS, Metric, Value
+from cabinpose.evaluate.groups import Grouping
+from cabinpose.evaluate.metrics import METRICS, Metric, Value, value_among
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.sample_view import ALL, ANY, IMAGE, SampleView, by_frames, sample_views
 from cabinpose.evaluate.samples import Samples
@@ -32,7 +33,8 @@ class Report:
     joint_sets: joints by name of the set · curves: by space and set, the share in per cent at each point of `grid`, for PCKh
     (of the head size) and for the error (px, cm) · calibration: see `_calibration` · boxes: by space, range of the error and
     joint (px, cm) · worst: numbers of the worst frames, worst first · typical: of those nearest to the median frame, best
-    first · settings: the options in words · caveats: what is to be known before all that · skeleton: the joints' set.
+    first · settings: the options in words · caveats: what is to be known before all that · skeleton: the joints' set · groupings:
+    the people by labels, see `groups`.
     """
 
     model: str
@@ -49,6 +51,7 @@ class Report:
     settings: Mapping[str, Any]
     caveats: Caveats
     skeleton: str = CABINPOSE.name
+    groupings: tuple[Grouping, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -59,12 +62,7 @@ class Report:
         self, metric: str, space: str = "3d", joints: str = ALL, threshold: float | None = None, visibility: str = "any"
     ) -> Value | None:
         """The number of that name; with `threshold` left out, the first one. None if there is none."""
-        for v in self.values:
-            if (v.metric, v.space, v.joints, v.visibility) == (metric, space, joints, visibility) and (
-                threshold is None or (v.threshold is not None and abs(v.threshold - threshold) < 1e-9)
-            ):
-                return v
-        return None
+        return value_among(self.values, metric, space, joints, threshold, visibility)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, with the notes by themselves; the set of joints is left out where it is the standard's own."""
@@ -73,11 +71,12 @@ class Report:
 
 
 def make_report(
-    samples: Samples, options: EvaluationOptions, model: str, dataset: str, caveats: Caveats | tuple[str, ...] = ()
-) -> Report:
+    samples: Samples, options: EvaluationOptions, model: str, dataset: str, caveats: Caveats | tuple[str, ...] = (),
+    groupings: tuple[Grouping, ...] = (),
+) -> Report:  # fmt: skip
     """All numbers of one model's samples. Equal samples, options and seed give equal numbers.
 
-    caveats: what is to be known before them, or notes alone.
+    caveats: what is to be known before them, or notes alone · groupings: of these samples, see `groups.groupings`.
 
     A metric of another package that cannot be loaded, or that raises, is left out with a warning that names the package.
     """
@@ -104,6 +103,7 @@ def make_report(
         settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
         caveats=caveats if isinstance(caveats, Caveats) else Caveats(len(samples.frames), len(samples.frames), notes=caveats),
         skeleton=skeleton.name,
+        groupings=groupings,
     )
 
 

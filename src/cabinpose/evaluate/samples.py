@@ -61,8 +61,9 @@ class Space(NamedTuple):
 class Samples(NamedTuple):
     """S samples over F frames, by rising frame, and the predicted people of each frame matched as COCO does.
 
-    frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · visibility: (S, J) · counts: (S, J) joints that
-    count · absent: (S, J) joints that a right prediction leaves out · found: (S, J) · true, predicted: (S,) whether the person
+    frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · place: (S,) position of the slot, beyond
+    them for predicted people whom no true one stands for · visibility: (S, J) · counts: (S, J) joints that count ·
+    absent: (S, J) joints that a right prediction leaves out · found: (S, J) · true, predicted: (S,) whether the person
     is there · oks: (S,) · elsewhere: (S,) whether the person was found, but in another's place: an answer for another place is
     like them (OKS of 0.5 or more) and not like who is there, and the one for theirs is not. A joint that neither counts nor is
     absent is too hidden to judge: it is neither right nor wrong. presence, score, expected (m): (S, J) of each joint with a
@@ -73,6 +74,7 @@ class Samples(NamedTuple):
     skeleton: Skeleton
     frames: NDArray[np.int64]
     at: NDArray[np.int64]
+    place: NDArray[np.int64]
     visibility: NDArray[np.uint8]
     counts: Bool
     absent: Bool
@@ -194,6 +196,7 @@ def _samples(
         skeleton,
         truth.frame,
         (seen + f).astype(np.int64),
+        p.astype(np.int64),
         visibility[f, p],
         counts[f, p],
         ((visibility == Visibility.ABSENT) | outside)[f, p],

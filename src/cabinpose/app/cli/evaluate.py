@@ -32,6 +32,8 @@ _USUAL = (
     "presence recall",
 )  # fmt: skip
 
+_OF_GROUPS = (("PCKh", "2d"), ("AUC of PCKh", "2d"), ("PCKh", "3d"), ("median error", "3d"))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(RunsModels, SelectsFrames, ReadsFrames):
@@ -58,6 +60,11 @@ class Evaluate(RunsModels, SelectsFrames, ReadsFrames):
     """Where a lifting model gets its 2D joints: `truth` (the default: those of the dataset), a predictions file, or a model."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """Only people in these slots; default: the slots that all models predict."""
+    by: Annotated[tuple[str, ...], several("LABEL [LABEL ...]")] = ()
+    """Tables by groups of people, and the worst of them: by seat, or a label such as stature, age, sex, pov, reflectance:top.
+    Numbers are in quarters of the people, or between stated edges: stature=1.6,1.75."""
+    training_data: Annotated[tuple[Path, ...], several("FOLDER [FOLDER ...]")] = ()
+    """Of --by: datasets that the model was trained on, for each group's share of the people there."""
     labels: Maybe[Path] = None
     """Corrected labels of the dataset, as the studio writes them (.labels.jsonl)."""
     out: Maybe[Path] = None
@@ -76,6 +83,8 @@ modernised = partial(renamed, old=MappingProxyType({"--pck-cm": ("--pck-m", metr
 def run(command: Evaluate) -> None:
     """Evaluate all files and models; the tables go to stdout, the page to `out`."""
     options = command.evaluation
+    if command.training_data and not command.by:
+        raise ConfigError("--training-data is of groups", hint="say which with --by")
     if command.itop_npz is not None:
         _run_itop(command, command.itop_npz, options)
     elif command.dataset is None or not (command.predictions or command.model):
@@ -90,8 +99,17 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     from cabinpose.app.cli.selection import opened, selected
     from cabinpose.app.models import opened_models, tell_drive_side
     from cabinpose.core import Segmenter
-    from cabinpose.evaluate import check_predictions, common_joints, frame_distances, make_report, model_name, samples_of
-    from cabinpose.store import SUFFIX, dataset_id, read_class_images, read_manifest, read_predictions
+    from cabinpose.evaluate import (  # fmt: skip
+        check_predictions,
+        common_joints,
+        frame_distances,
+        groupings,
+        make_report,
+        model_name,
+        read_group_by,
+        samples_of,
+    )
+    from cabinpose.store import SUFFIX, dataset_id, open_dataset, read_class_images, read_manifest, read_predictions
 
     refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
     whole = opened(folder, command.labels)
@@ -111,11 +129,15 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     models = [model for model in chosen if not isinstance(model, Segmenter)]
     if segmenters and models:
         raise ConfigError("joints and body parts are evaluated apart", hint="run evaluate once for each")
+    if segmenters and command.by:
+        raise ConfigError("body parts are not counted by people", hint="leave --by out")
     if segmenters:
         _run_parts(command, dataset, segmenters, names[1])
         return
+    by, learnt = [read_group_by(word) for word in command.by], [open_dataset(path) for path in command.training_data]
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
+    in_view = dataset.sel(person=list(persons))
     frames = dataset.sizes["frame"]
     reports, over_frames = [], {}
     for model in models:
@@ -125,7 +147,8 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
                 shown(done, "" if done < frames else "intervals")
 
             samples, caveats = samples_of(dataset, model, options, joints=joints, persons=persons, progress=show)
-            reports.append(make_report(samples, options, model_name(model), names[1], caveats))
+            groups = groupings(samples, in_view, by, options, learnt)
+            reports.append(make_report(samples, options, model_name(model), names[1], caveats, groups))
         over_frames[reports[-1].model] = {space: frame_distances(samples, space, options) for space in samples.spaces()}
         tell_failed(model)
     record = {"data": str(command.dataset), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
@@ -134,7 +157,6 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         from cabinpose.app.report.frames import frame_figures
         from cabinpose.app.report.over_frames import write_distances
 
-        in_view = dataset.sel(person=list(persons))
         typical, worst = (
             {r.model: frame_figures(in_view, r, m, options, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
             for kind in ("typical", "worst")
@@ -203,7 +225,7 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
     from cabinpose.evaluate import evaluate_itop, itop_summary
     from cabinpose.store import as_labelled, read_itop_frames, read_itop_reference
 
-    if len(command.model) != 1 or command.predictions or command.dataset is not None:
+    if len(command.model) != 1 or command.predictions or command.by or command.dataset is not None:
         raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
     model = open_predictor(command.model[0])
     if model.joints != ITOP.joints or len(model.persons) != 1:
@@ -263,7 +285,7 @@ def write_boxes(folder: Path, reports: Sequence[Report]) -> None:
 
 def print_report(report: Report, *, everything: bool) -> None:
     """Print the table by joint group, the numbers over all joints (the usual eight and extensions', or all), and notes."""
-    from cabinpose.app.report.numbers import group_columns, interval, number, people_rows
+    from cabinpose.app.report.numbers import group_columns, grouping_rows, interval, number, people_rows, worst_words
     from cabinpose.evaluate import METRICS
 
     columns, caveats = group_columns([report]), report.caveats
@@ -293,6 +315,9 @@ def print_report(report: Report, *, everything: bool) -> None:
     print_table(rows, words=(0, 4))
     if len(shown) < len(numbers):
         print(f"and {len(numbers) - len(shown)} more with --all")
+    for grouping in report.groupings:
+        print_table(grouping_rows(grouping, [c for c in columns if (c.metric, c.space) in _OF_GROUPS]))
+        print(worst_words(grouping) + "\n")
     for note in report.notes:
         print(printable(note))
     print()

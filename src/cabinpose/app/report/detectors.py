@@ -8,7 +8,7 @@ from types import MappingProxyType
 from cabinpose.app.report.charts import ValueScale, box_chart, charts, legend, series_chart
 from cabinpose.app.report.frames import ERROR, PREDICTION, TRUTH
 from cabinpose.app.report.html import Html, document, el, join, remark, section, table, tiles, with_small
-from cabinpose.app.report.numbers import Column, group_columns, interval, label, number, people_rows
+from cabinpose.app.report.numbers import Column, group_columns, grouping_rows, interval, label, number, people_rows, worst_words
 from cabinpose.app.report.over_frames import NOTE, OverFrames, over_frames_html
 from cabinpose.evaluate import ALL, FOUND, PEOPLE, Report, Value
 
@@ -23,6 +23,10 @@ _CONFIDENCE_NOTE = (
     "Presence: by tenths of what the model said, the share of joints that are in the image, and of those found within the "
     "threshold, too; the thin line is that of a model which is right about itself. Expected error: by tenths of joints found. "
     "Surest joints: ordered by the expected error where the model gives one, else by the score."
+)
+_GROUPS_NOTE = (
+    "All joints of the people of each group; numbers in quarters of the people, unless edges were given. The worst group has the "
+    "least PCKh@0.5 of those with 20 people or more; the interval of its difference is widened by the number of groups."
 )
 _TILES = (
     ("PCKh", "2d", ALL, None), ("AUC of PCKh", "2d", ALL, None), ("mean error", "2d", ALL, None), ("AP", "2d", PEOPLE, None),
@@ -58,6 +62,7 @@ def page_html(
                 ("Over the frames", over_frames_html(over_frames), NOTE),
                 ("Confidence", _confidence(reports), _CONFIDENCE_NOTE),
                 ("By visibility", _visibility_table(reports), ""),
+                ("By groups of people", _groupings(reports), _GROUPS_NOTE),
                 ("Typical frames", _frames(reports, typical), near),
                 ("Worst frames", _frames(reports, worst), dots),
                 ("All numbers", _number_table(reports), ""),
@@ -179,6 +184,21 @@ def _visibility_table(reports: Sequence[Report]) -> Html:
             if joints:
                 rows.append((state.replace("_", " "), report, [joints, *(with_small(number(v), interval(v)) for v in values)]))
     return _with_models(reports, ["joints", *(c.title for c in columns)], rows)
+
+
+def _groupings(reports: Sequence[Report]) -> str:
+    """The tables by labels of people, of each model in turn, with what can be said of the worst group."""
+    columns = group_columns(reports)
+    return join(
+        el(
+            "div",
+            el("h3", f"{report.model}: " * (len(reports) > 1) + grouping.by),
+            table(grouping_rows(grouping, columns)),
+            remark(worst_words(grouping)),
+        )
+        for report in reports
+        for grouping in report.groupings
+    )
 
 
 def _frames(reports: Sequence[Report], by_model: Mapping[str, Sequence[Html]]) -> str:

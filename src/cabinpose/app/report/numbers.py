@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from cabinpose.evaluate import ALL, METRICS, PEOPLE, Report, Value
+from cabinpose.evaluate import ALL, METRICS, PEOPLE, Grouping, Report, Value, value_among
 
 
 class Column(NamedTuple):
@@ -39,6 +39,32 @@ def group_columns(reports: Sequence[Report]) -> list[Column]:
         ]
     both.append(column("found", "2d", "found %"))
     return [c for c in both if any(r.value(c.metric, c.space) for r in reports)]
+
+
+def grouping_rows(grouping: Grouping, columns: Sequence[Column]) -> list[list[str]]:
+    """The table of the groups by one label, its head first; the share of training is left out where it is not known."""
+    learnt = any(math.isfinite(group.training) for group in grouping.groups)
+    rows = [[grouping.by, "people", "subjects", *(["in training %"] if learnt else []), *(c.title for c in columns)]]
+    for group in grouping.groups:
+        cells = []
+        for c in columns:
+            value = value_among(group.values, c.metric, c.space, ALL, c.threshold)
+            cells.append(f"{number(value)} ({interval(value)})" if interval(value) else number(value))
+        share = [f"{group.training:.1f}"] if learnt else []
+        rows.append([group.name, str(group.people), str(group.subjects or "–"), *share, *cells])
+    return rows
+
+
+def worst_words(grouping: Grouping) -> str:
+    """Which of the groups is worst, as far as it can be said."""
+    worst = grouping.worst
+    if worst is None:
+        return f"by {grouping.by}: too few groups of people to say which is worst"
+    told = f"PCKh@0.5 {worst.space.upper()} of '{worst.group}' is {worst.below:.1f} points below the others"
+    if not math.isfinite(worst.low):
+        return f"by {grouping.by}: {told}"
+    span = f"({worst.low:.1f} to {worst.high:.1f}, for all groups together)"
+    return f"by {grouping.by}: {told} {span}" + ("" if worst.is_certain else ": no group is surely worse")
 
 
 def people_rows(report: Report) -> Iterator[tuple[str, Value]]:
