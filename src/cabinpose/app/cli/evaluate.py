@@ -316,7 +316,9 @@ def print_report(report: Report, *, everything: bool) -> None:
     if len(shown) < len(numbers):
         print(f"and {len(numbers) - len(shown)} more with --all")
     for grouping in report.groupings:
-        print_table(grouping_rows(grouping, [c for c in columns if (c.metric, c.space) in _OF_GROUPS]))
+        few = [c for c in columns if (c.metric, c.space) in _OF_GROUPS]
+        groups = grouping_rows(grouping, few, lambda v: f"{number(v)} ({interval(v)})" if interval(v) else number(v))
+        print_table([[str(cell) for cell in row] for row in groups])
         print(worst_words(grouping) + "\n")
     for note in report.notes:
         print(printable(note))

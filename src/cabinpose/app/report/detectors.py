@@ -188,17 +188,13 @@ def _visibility_table(reports: Sequence[Report]) -> Html:
 
 def _groupings(reports: Sequence[Report]) -> str:
     """The tables by labels of people, of each model in turn, with what can be said of the worst group."""
-    columns = group_columns(reports)
-    return join(
-        el(
-            "div",
-            el("h3", f"{report.model}: " * (len(reports) > 1) + grouping.by),
-            table(grouping_rows(grouping, columns)),
-            remark(worst_words(grouping)),
-        )
-        for report in reports
-        for grouping in report.groupings
-    )
+    columns, blocks = group_columns(reports), []
+    for report in reports:
+        for grouping in report.groupings:
+            title = f"{report.model}: {grouping.by}" if len(reports) > 1 else grouping.by
+            rows = grouping_rows(grouping, columns, lambda v: with_small(number(v), interval(v)))
+            blocks.append(el("div", el("h3", title), table(rows), remark(worst_words(grouping))))
+    return join(blocks)
 
 
 def _frames(reports: Sequence[Report], by_model: Mapping[str, Sequence[Html]]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from cabinpose.evaluate import ALL, METRICS, PEOPLE, Grouping, Report, Value, value_among
@@ -41,17 +41,19 @@ def group_columns(reports: Sequence[Report]) -> list[Column]:
     return [c for c in both if any(r.value(c.metric, c.space) for r in reports)]
 
 
-def grouping_rows(grouping: Grouping, columns: Sequence[Column]) -> list[list[str]]:
-    """The table of the groups by one label, its head first; the share of training is left out where it is not known."""
+def grouping_rows(grouping: Grouping, columns: Sequence[Column], cell: Callable[[Value | None], object]) -> list[list[object]]:
+    """The table of the groups by one label, its head first; the share of training is left out where it is not known.
+
+    cell: how a number is written with its interval.
+    """
     learnt = any(math.isfinite(group.training) for group in grouping.groups)
-    rows = [[grouping.by, "people", "subjects", *(["in training %"] if learnt else []), *(c.title for c in columns)]]
+    rows: list[list[object]] = [
+        [grouping.by, "people", "subjects", *(["in training %"] if learnt else []), *(c.title for c in columns)]
+    ]
     for group in grouping.groups:
-        cells = []
-        for c in columns:
-            value = value_among(group.values, c.metric, c.space, ALL, c.threshold)
-            cells.append(f"{number(value)} ({interval(value)})" if interval(value) else number(value))
         share = [f"{group.training:.1f}"] if learnt else []
-        rows.append([group.name, str(group.people), str(group.subjects or "–"), *share, *cells])
+        cells = (cell(value_among(group.values, c.metric, c.space, ALL, c.threshold)) for c in columns)
+        rows.append([group.name, group.people, group.subjects or "–", *share, *cells])
     return rows
 
 
