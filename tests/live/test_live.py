@@ -16,11 +16,11 @@ import yaml
 
 from cabinpose.app.cli import live as live_command
 from cabinpose.app.live.choose import open_feed, parsed_settings
-from cabinpose.app.live.feed import LatestFrame, LiveFrame, batch_of
+from cabinpose.app.live.feed import EveryFrame, LatestFrame, LiveFrame, batch_of
 from cabinpose.app.live.run import Found, Latency, Live, _people
 from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, PoseBatch
-from cabinpose.estimate import joint_predictor
+from cabinpose.estimate import joint_predictor, make_smoother
 from cabinpose.record.config import Rig, SourcePlan, parse_rig
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Counts, Sample, ToFFrame
@@ -100,6 +100,49 @@ def test_dataset_gives_what_predict_writes(run: Run, dataset_folder: Path, tmp_p
     assert run("predict", dataset_folder, "--model", "in_car", "--out", predicted).code == 0
     assert live.read_bytes() == predicted.read_bytes()
     assert len(read_predictions(live).frame) == FRAMES
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flags", [["--smooth", "one-euro"], ["--smooth", "fixed-lag", "--lag", "2"]])
+def test_smoothed_joints_are_those_of_predict_however_late_they_come(run: Run, tmp_path: Path, flags: list[str]) -> None:
+    two = ["scene.cars=[sedan]", "scene.sequence={frames: 4, rate_hz: 30}", "camera.sensor=pico_monstar_105/4"]
+    assert run("synth", "--frames", "8", "--out", tmp_path / "data", *two).code == 0
+    files = [tmp_path / f"{name}.jsonl" for name in ("live", "predict", "plain")]
+    lines = run("live", tmp_path / "data", "--predictions", files[0], "--json", *flags).out.splitlines()
+    assert run("predict", tmp_path / "data", "--model", "in_car", "--out", files[1], *flags).code == 0
+    assert run("predict", tmp_path / "data", "--model", "in_car", "--out", files[2]).code == 0
+    assert files[0].read_bytes() == files[1].read_bytes()
+    smooth, plain = read_predictions(files[1]), read_predictions(files[2])
+    assert [json.loads(line)["frame"] for line in lines[:-1]] == smooth.frame.tolist() == [*range(8)]
+    assert smooth.model == f"in_car + {' '.join(flags[1::2])}"
+    moved = np.abs(smooth.joints_3d - plain.joints_3d).max(axis=(1, 2, 3))
+    assert moved[1] > 1e-4
+    assert moved[5] > 1e-4
+    if "one-euro" in flags:  # the first frame of each sequence has nothing before it
+        assert moved[0] == moved[4] == 0.0
+    stopped = run("live", tmp_path / "data", "--frames", "3", "--json", *flags).out.splitlines()
+    assert [json.loads(line).get("frame") for line in stopped] == [0, 1, 2, None]
+
+
+def test_a_frame_that_waits_for_later_ones_is_that_much_later() -> None:
+    live = Live(_every_frame(6), [Model(seconds=0.02)], smoothers=[make_smoother("fixed-lag", 3)])
+    numbers = [frame.number for frame, _ in live.run(lambda: live.frames < 6)]
+    assert numbers == [*range(6)]
+    latency = live.status(whole=True).latency
+    assert latency is not None
+    assert latency.p50 > 3 * 20
+
+
+def test_a_frame_on_which_a_detector_fails_keeps_its_turn() -> None:
+    live = Live(_every_frame(6), [Model(fails_on=2)], skip_errors=True, keep=True, smoothers=[make_smoother("fixed-lag", 3)])
+    answers = [found[0] for _, found in live.run(lambda: live.frames < 6)]
+    assert [bool(each.error) for each in answers] == [False, False, True, False, False, False]
+    assert np.isnan(answers[2].poses.joints_2d).all()
+    assert live.predictions(live.models[0]).frame.tolist() == [0, 1, 3, 4, 5]
+
+
+def _every_frame(count: int) -> EveryFrame:
+    return EveryFrame(Camera(count, 0.0), HostClock())
 
 
 def test_dataset_gives_the_metrics_of_evaluate(run: Run, dataset_folder: Path) -> None:
@@ -333,6 +376,9 @@ def test_failures_are_counted_by_their_cause(dataset_folder: Path, capsys: pytes
         (("--source", "{dataset}", "--model", "in_car", "in_car"), "each model is named once"),
         (("--source", "simulated", "--set", "dataset"), "sets nothing"),
         (("--source", "simulated"), "has no frames to see"),
+        (("--source", "{dataset}", "--lag", "2"), "--lag says nothing without --smooth"),
+        (("--source", "{dataset}", "--smooth", "kalman"), "unknown smoother 'kalman'"),
+        (("--source", "{dataset}", "--smooth", "one-euro", "--lag", "2"), "one-euro answers at once"),
     ],
 )
 def test_bad_input(run: Run, dataset_folder: Path, recording: Path, arguments: Sequence[str], message: str) -> None:

@@ -41,6 +41,12 @@ from .settings import BodySettings as BodySettings
 from .settings import PlacedSettings as PlacedSettings
 from .settings import Settings as Settings
 from .settings import ViewSettings as ViewSettings
+from .smoothing import LONGEST_GAP_S as LONGEST_GAP_S
+from .smoothing import MOST_LAG as MOST_LAG
+from .smoothing import SMOOTHERS as SMOOTHERS
+from .smoothing import Smoother as Smoother
+from .smoothing import make_smoother as make_smoother
+from .smoothing import smoothed as smoothed
 from .tasks import PeopleBatch as PeopleBatch
 from .train_config import Machines as Machines
 from .train_config import Observers as Observers

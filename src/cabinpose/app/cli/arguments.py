@@ -7,13 +7,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Optional, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar, Union
 
 from tyro.conf import Positional, arg, subcommand
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from cabinpose.app.api import SAMPLE
 from cabinpose.core import ConfigError, DatasetError, DriveSide, Visibility
+
+if TYPE_CHECKING:
+    from cabinpose.estimate import Smoother
 
 
 def several(metavar: str) -> Any:
@@ -78,6 +81,26 @@ class RunsModels(PrintsJson):
     drive_side: Maybe[DriveSide] = None
     """Side of the wheel, for models that tell seats by place (paf, dpm, walks); default: as the dataset or the model's file
     says."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smooths(PrintsJson):
+    """Flags of the verbs that smooth joints over time."""
+
+    smooth: Maybe[str] = None
+    """Smooth joints over the frames of each sequence: one-euro answers at once, fixed-lag some frames later."""
+    lag: Maybe[int] = None
+    """Frames by which fixed-lag answers later, from 1 to 30; default: 3."""
+
+    def smoothers(self, count: int) -> list[Smoother]:
+        """One for each of a number of detectors; none where nothing is smoothed. Raises ConfigError, see `make_smoother`."""
+        from cabinpose.estimate import make_smoother
+
+        if self.smooth is None:
+            if self.lag is not None:
+                raise ConfigError("--lag says nothing without --smooth", hint="give --smooth fixed-lag as well")
+            return []
+        return [make_smoother(self.smooth, self.lag) for _ in range(count)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, placed, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, Smooths, placed, several
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
@@ -29,7 +29,7 @@ _LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveCommand(RunsModels):
+class LiveCommand(RunsModels, Smooths):
     """Run detectors on frames as they come, and say how long each takes from its arrival to its joints.
 
     Of a camera the newest frame is taken and older ones are left out; of a dataset or a recording every frame is, unless
@@ -78,6 +78,7 @@ def run(command: LiveCommand) -> int:
     from cabinpose.store import check_new_predictions
 
     _check(command)
+    smoothers = command.smoothers(len(command.model))
     if command.predictions is not None:
         check_output(command.predictions, parents=False)
         check_new_predictions(command.predictions, overwrite=command.overwrite)
@@ -85,7 +86,7 @@ def run(command: LiveCommand) -> int:
     feed = open_feed(command.source, settings, realtime=command.realtime, out=command.record)
     models = load(command.model, command.images)
     tell_drive_side(models, command.drive_side)
-    live = Live(feed, models, skip_errors=command.skip_errors, keep=_keeps(command, feed))
+    live = Live(feed, models, skip_errors=command.skip_errors, keep=_keeps(command, feed), smoothers=smoothers)
     with asked_to_stop("ending") as asked, _shown() as show:
         until = time.monotonic() + (command.duration or float("inf"))
 

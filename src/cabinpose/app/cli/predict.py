@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, Smooths, several
 from cabinpose.app.cli.frames import FramesArgument, ReadsFrames, as_dataset
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
 from cabinpose.core import ConfigError, check_output
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predict(RunsModels, SelectsFrames, ReadsFrames):
+class Predict(RunsModels, Smooths, SelectsFrames, ReadsFrames):
     """Run a model over a dataset, or over frames that are none yet.
 
     It writes the joints that it finds as a predictions file, or body parts as label images.
@@ -54,6 +54,8 @@ def run(command: Predict) -> None:
     check = check_new_class_images if command.out.suffix == SUFFIX else check_new_predictions
     check_output(command.out, parents=False)
     check(command.out, overwrite=command.overwrite)  # before the work, not at its end
+    if command.smoothers(1) and command.out.suffix == SUFFIX:
+        raise ConfigError("body parts are not smoothed", hint="leave out --smooth, or let --out end in .jsonl or .parquet")
     with as_dataset(command.dataset, command) as folder:
         _run(command, folder)
 
@@ -63,6 +65,7 @@ def _run(command: Predict, folder: Path) -> None:
     from cabinpose.app.cli.selection import selected
     from cabinpose.app.models import opened_models, tell_drive_side
     from cabinpose.core import Segmenter, unseen_words
+    from cabinpose.estimate import smoothed
     from cabinpose.evaluate import model_name, predict_dataset
     from cabinpose.store import (
         SUFFIX,
@@ -99,6 +102,9 @@ def _run(command: Predict, folder: Path) -> None:
             with progress(count, "frames") as report:
                 predictions = predict_dataset(dataset, model, dataset_id=name, progress=report)
             tell_failed(model)
+        for smoother in command.smoothers(1):
+            smooth = smoothed(predictions, dataset["sync_ns"].values, dataset["sequence"].values, smoother)
+            predictions = replace(smooth, model=smoother.model_name(predictions.model))
         write_predictions(command.out, predictions, overwrite=command.overwrite)
         told = {"unseen": predictions.unseen, "remarks": predictions.remarks}
         for words in unseen_words(predictions.unseen, count):

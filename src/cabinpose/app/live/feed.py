@@ -22,11 +22,15 @@ _WAIT_S = 0.1  # for a frame, before the caller is asked whether to go on
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """One frame as a detector gets it. number: of the dataset's frame, or the source's own count · host_ns: when it came."""
+    """One frame as a detector gets it. number: of the dataset's frame, or the source's own count · host_ns: when it came ·
+    taken_ns: when it was taken, by the dataset or the device, or `host_ns` where neither says it · sequence: the dataset's.
+    """
 
     number: int
     host_ns: int
     batch: FrameBatch
+    taken_ns: int
+    sequence: int = 0
 
 
 @dataclass(frozen=True)
@@ -84,11 +88,11 @@ class DatasetFeed(Feed):
 
     def frames(self) -> Iterator[LiveFrame | None]:
         """The frames as `evaluate` and `predict` read them."""
-        numbers = self.dataset["frame"].values
-        for row, number in enumerate(numbers.tolist()):
+        facts = (self.dataset[name].values.tolist() for name in ("frame", "sync_ns", "sequence"))
+        for row, (number, taken_ns, sequence) in enumerate(zip(*facts, strict=True)):
             batch = frame_batch(self.dataset, slice(row, row + 1), self.wanted)
             self._counts.received += 1
-            yield LiveFrame(number, self.clock.now_ns(), batch)
+            yield LiveFrame(number, self.clock.now_ns(), batch, taken_ns, sequence)
 
     def status(self) -> FeedStatus:
         """Nothing is lost."""
@@ -251,7 +255,8 @@ def live_frame(sample: Sample, drive_side: str = "") -> LiveFrame | None:
     batch = batch_of(image)
     if drive_side:
         batch["drive_side"] = np.array([drive_side])
-    return LiveFrame(-1 if sample.sequence is None else sample.sequence, sample.host_ns, batch)
+    taken_ns = sample.host_ns if sample.device_ns is None else sample.device_ns
+    return LiveFrame(-1 if sample.sequence is None else sample.sequence, sample.host_ns, batch, taken_ns)
 
 
 def batch_of(image: ToFFrame) -> FrameBatch:

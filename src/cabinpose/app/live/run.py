@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from array import array
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from cabinpose.app.live.feed import Feed, FeedStatus, LiveFrame
 from cabinpose.core import CabinposeError, PoseBatch, Predictor, images_of, joined, require_images, skeleton_of, without_numbers
-from cabinpose.estimate import cameras_of
+from cabinpose.estimate import Smoother, cameras_of
 from cabinpose.store import Predictions, empty_batch
 
 _MOST_CAUSES = 20  # of failures that are told apart
@@ -61,6 +62,9 @@ class LiveStatus:
     feed: FeedStatus
 
 
+_Answered = tuple[LiveFrame, tuple[Found, ...]]
+
+
 @dataclass
 class _Answers:
     """One detector's answers so far."""
@@ -102,9 +106,13 @@ def _count(message: str, known: _Counted) -> None:
 class Live:
     """Runs detectors on the frames of a feed, in the caller's thread."""
 
-    def __init__(self, feed: Feed, models: Sequence[Predictor], *, skip_errors: bool = False, keep: bool = False) -> None:
+    def __init__(
+        self, feed: Feed, models: Sequence[Predictor], *, skip_errors: bool = False, keep: bool = False,
+        smoothers: Sequence[Smoother] = (),
+    ) -> None:  # fmt: skip
         """skip_errors: a frame that a detector fails on is counted, and the run goes on; otherwise the error is raised ·
-        keep: remember all answers, for `predictions`. Raises DatasetError for a model that reads an image which the feed lacks.
+        keep: remember all answers, for `predictions` · smoothers: one for each model, of one lag, by which answers come later.
+        Raises DatasetError for a model that reads an image which the feed lacks.
         """
         require_images(models, feed.images, feed.name)
         feed.wanted = tuple(dict.fromkeys(name for model in models for name in images_of(model)))
@@ -112,29 +120,54 @@ class Live:
         self._skip_errors, self._keep = skip_errors, keep
         self._answers = {model.name: _Answers() for model in self.models}
         self._latency_ms, self._ended_s = array("d"), array("d")
-
-    @property
-    def frames(self) -> int:
+        self._smoothers, self._waiting = tuple(smoothers), deque[_Answered]()
+        self.frames = 0
         """Frames looked at so far."""
-        return len(self._ended_s)
 
     def run(self, go_on: Callable[[], bool] = lambda: True) -> Iterator[tuple[LiveFrame, tuple[Found, ...]]]:
         """Each frame with what each detector found in it, until the feed ends or `go_on` says no."""
         for frame in self.feed.frames():
             if frame is not None:
-                yield frame, self.look(frame)
+                found = self._look(frame)
+                if not self._smoothers:
+                    yield self._ended(frame, found)
+                else:
+                    self._waiting.append((frame, found))
+                    smooth = [
+                        poses
+                        for smoother, each in zip(self._smoothers, found, strict=True)
+                        if (poses := smoother(each.poses, frame.taken_ns, frame.sequence)) is not None
+                    ]
+                    if smooth:
+                        yield self._smoothed(smooth)
             if not go_on():
-                return
+                break
+        for last in zip(*(smoother.rest() for smoother in self._smoothers), strict=True):
+            yield self._smoothed(last)
 
-    def look(self, frame: LiveFrame) -> tuple[Found, ...]:
+    def _smoothed(self, poses: Sequence[PoseBatch]) -> _Answered:
+        """The frame that waits longest, with each detector's smoothed joints in it."""
+        frame, found = self._waiting.popleft()
+        return self._ended(frame, tuple(replace(each, poses=smooth) for each, smooth in zip(found, poses, strict=True)))
+
+    def _ended(self, frame: LiveFrame, found: tuple[Found, ...]) -> _Answered:
+        """The same, once the answers are there: kept, and their latency noted."""
+        for each in found:
+            answers = self._answers[each.model]
+            if self._keep and not each.error:
+                answers.numbers.append(frame.number)
+                answers.batches.append(each.poses)
+        self._latency_ms.append((self.feed.clock.now_ns() - frame.host_ns) / 1e6)
+        self._ended_s.append(time.monotonic())
+        return frame, found
+
+    def _look(self, frame: LiveFrame) -> tuple[Found, ...]:
         """What each detector finds in a frame, counted."""
         batch = frame.batch
         if "cloud" in self.feed.wanted and "cloud" not in batch:
             batch["cloud"] = cameras_of(batch, slice(0, 1))[0].points(batch["depth"]).astype(np.float32)
-        found = tuple(self._ask(model, frame) for model in self.models)
-        self._latency_ms.append((self.feed.clock.now_ns() - frame.host_ns) / 1e6)
-        self._ended_s.append(time.monotonic())
-        return found
+        self.frames += 1
+        return tuple(self._ask(model, frame) for model in self.models)
 
     def _ask(self, model: Predictor, frame: LiveFrame) -> Found:
         answers = self._answers[model.name]
@@ -151,9 +184,6 @@ class Live:
         if not error:
             answers.ms.append(ms)
             answers.note(poses)
-        if self._keep and not error:
-            answers.numbers.append(frame.number)
-            answers.batches.append(poses)
         return Found(model.name, poses, error, ms)
 
     def status(self, *, whole: bool = False) -> LiveStatus:
@@ -176,11 +206,12 @@ class Live:
     def predictions(self, model: Predictor) -> Predictions:
         """All answers of a detector, by the numbers of the frames."""
         answers = self._answers[model.name]
+        name = self._smoothers[0].model_name(model.name) if self._smoothers else model.name
         found = joined([empty_batch(0, len(model.persons), len(model.joints)), *answers.batches])
         order = np.argsort(np.array(answers.numbers, np.int64), kind="stable")
         return Predictions(
             **vars(found.map(lambda values: values[order])), frame=np.array(answers.numbers, np.int64)[order],
-            persons=model.persons, joints=model.joints, model=model.name,
+            persons=model.persons, joints=model.joints, model=name,
             skeleton=skeleton_of(model).name, joint_definition=getattr(model, "joint_definition", ""),
         )  # fmt: skip
 
