@@ -13,6 +13,7 @@ from typing import Any
 import onnxruntime
 
 from benchmarks import Say
+from benchmarks.opening import medians
 from benchmarks.subjects import WARM, Frame, OurDetector, PeerNetwork, Run, Subject, figures, timed_run
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.pose import OCCUPANT_SLOTS
@@ -32,7 +33,7 @@ _EXTRA = ("torch", "lightning", "onnx")
 
 
 def run(
-    *, model: Sequence[str], frames: int, repeats: int, threads: int, skip_fresh: bool, skip_peers: bool, say: Say
+    *, model: Sequence[str], peer: Sequence[str], frames: int, repeats: int, threads: int, skip: Sequence[str], say: Say
 ) -> dict[str, Any]:
     """Measure detectors. Without torch, fresh weights and peers are left out, and named in `left_out`.
 
@@ -40,12 +41,14 @@ def run(
     ----------
     model
         ONNX files, beside the packaged models.
+    peer
+        Networks of others, as NAME=FILE.onnx, beside those of `peers`.
     frames, repeats
         Frames in each run of each model, and runs; models and peers take turns, so that other load on the machine affects all.
     threads
         Of ONNX Runtime.
-    skip_fresh, skip_peers
-        Leave out the methods of `AIMS` with fresh weights, and the networks of `peers`.
+    skip
+        "fresh" leaves out the methods of `AIMS` with fresh weights, "peers" the networks of `peers`.
     say
         Called with what is being measured.
 
@@ -58,14 +61,15 @@ def run(
         fresh or file; decodes: "own", the network's outputs, or "true_joints", maps rendered from the joints of the two people in
         the frame, since with fresh weights no people would be assembled; peers_take: for each peer the p50_ms of its network over
         that of the model's whole frame.
-        Of each peer: frames_per_s, p50_ms, p95_ms of the network alone; parameters_m, macs_g as published.
+        Of each peer: frames_per_s, p50_ms, p95_ms of the network alone; parameters_m, macs_g as published, of those of `peers`.
+        Of each model and peer in a file: import_s, load_s, above_runtime_mb, see `opening`.
     """
     if min(frames, repeats, threads) < 1:
         raise ConfigError("the bench needs frames, repeats and threads", hint="give each at least 1")
     known = packaged_detectors()
     trained = [load_model(known.get(each, Path(each)), threads=threads) for each in dict.fromkeys((*known, *model))]
     lacking = [name for name in _EXTRA if find_spec(name) is None]
-    left_out = [name for name, wanted in (("fresh", not skip_fresh), ("peers", not skip_peers)) if wanted and lacking]
+    left_out = [name for name in ("fresh", "peers") if name not in skip and lacking]
     if left_out:
         say(f"{' and '.join(left_out)} left out: {', '.join(lacking)} not installed (pip install 'cabinpose[train]')")
     load_before = os.getloadavg()
@@ -73,18 +77,24 @@ def run(
         folder = Path(name)
         say(f"{_SHOWN} frames, and the models")
         ours = _trained(trained)
-        if not skip_fresh and not lacking:
+        if "fresh" not in skip and not lacking:
             ours |= _fresh(folder, threads)
-        others = {} if skip_peers or lacking else _peers(folder, threads)
+        others = {} if "peers" in skip or lacking else _peers(folder, threads)
+        others |= _peers_in_files(peer, threads)
         subjects = ours | others
         if not subjects:
             raise ConfigError("there is nothing to measure", hint="give --model FILE, or install the extra `train`")
         runs: dict[str, list[Run]] = {name: [] for name in subjects}
+        openings: dict[str, list[dict[str, float]]] = {name: [] for name in subjects}
         for number in range(repeats):
             for name, subject in subjects.items():
                 say(f"run {number + 1} of {repeats}: {name}")
                 runs[name].append(timed_run(subject, frames))
-        measured = {name: {**subject.about, **figures(subject, runs[name])} for name, subject in subjects.items()}
+                openings[name].append(subject.opened(folder, threads))
+        measured = {
+            name: {**subject.about, **figures(subject, runs[name]), **medians(openings[name])}
+            for name, subject in subjects.items()
+        }
         runtime = _runtime(next(iter(subjects.values())).session)
     for name in ours:
         measured[name]["peers_take"] = {peer: measured[peer]["p50_ms"] / measured[name]["p50_ms"] for peer in others}
@@ -129,8 +139,19 @@ def _peers(folder: Path, threads: int) -> dict[str, Subject]:
     for name, peer in PEERS.items():
         path = folder / f"{name}.onnx"
         peer.export(path)
-        about = {"sees": peer.sees, "input": list(peer.size), "parameters_m": peer.parameters_m, "macs_g": peer.macs_g}
-        subjects[name] = PeerNetwork(path, peer.size, threads=threads, weights="fresh", **about)
+        about = {"sees": peer.sees, "parameters_m": peer.parameters_m, "macs_g": peer.macs_g}
+        subjects[name] = PeerNetwork(path, threads=threads, weights="fresh", **about)
+    return subjects
+
+
+def _peers_in_files(named: Sequence[str], threads: int) -> dict[str, Subject]:
+    """Those of `--peer NAME=FILE.onnx`; ConfigError for other words, and for a graph that takes images of any size."""
+    subjects: dict[str, Subject] = {}
+    for words in named:
+        name, _, file = words.partition("=")
+        if not name or not file or name in subjects:
+            raise ConfigError(f"{words} names no network of others", hint="give --peer NAME=FILE.onnx, each name once")
+        subjects[name] = PeerNetwork(Path(file), threads=threads, weights="file", sees="")
     return subjects
 
 

@@ -12,6 +12,8 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
+from benchmarks.opening import opened
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.onnx_model import BATCH, OnnxModel, cameras_of, open_session
@@ -37,6 +39,10 @@ class Subject:
     def batch(self) -> float | None:
         """Seconds per frame in a batch; None where batches are not timed."""
         return None
+
+    def opened(self, folder: Path, threads: int) -> dict[str, float]:
+        """How long it takes to open and what memory, see `opening.opened`; folder: for what the other process reads."""
+        raise NotImplementedError
 
 
 class OurDetector(Subject):
@@ -65,6 +71,12 @@ class OurDetector(Subject):
         """Seconds per frame in a batch of `BATCH`."""
         return sum(self._time(self._batch, self._batch_answers)) / BATCH
 
+    def opened(self, folder: Path, threads: int) -> dict[str, float]:
+        """By itself, on the first of its frames."""
+        shown = folder / "frames.npz"
+        np.savez(shown, **cast("dict[str, Any]", self._frames[0]))
+        return opened("ours", self._model.path, threads=threads, frames=shown)
+
     def _time(self, frames: FrameBatch, answers: Arrays) -> tuple[float, ...]:
         """The steps of `JointPredictor.predict` on one batch."""
         every = slice(0, BATCH)
@@ -82,18 +94,28 @@ class OurDetector(Subject):
 
 
 class PeerNetwork(Subject):
-    """A network alone, on noise of its input's size (width, height)."""
+    """A network alone, on noise of its input's shape."""
 
-    def __init__(self, path: Path, size: tuple[int, int], *, threads: int, **about: Any) -> None:
+    def __init__(self, path: Path, *, threads: int, **about: Any) -> None:
+        """Raises ConfigError for a network of several inputs, or of images of any size."""
         super().__init__(open_session(path, threads=threads), ("network",), about)
+        self._path, inputs = path, self.session.get_inputs()
+        shapes = [each.shape for each in inputs]
+        if len(inputs) != 1 or not all(isinstance(length, int) for length in shapes[0][1:]):
+            raise ConfigError(f"{path} takes inputs of shapes {shapes}", hint="export it for one image of a fixed size")
+        self.about = {"input": shapes[0][:1:-1], **about}  # width and height
         rng = np.random.Generator(np.random.Philox(key=_NOISE_SEED))
-        self._image = rng.standard_normal((1, 3, *size[::-1]), dtype=np.float32)
+        self._given = {inputs[0].name: rng.standard_normal((1, *shapes[0][1:]), dtype=np.float32)}
 
     def frame(self, number: int) -> tuple[float, ...]:  # noqa: ARG002 - every image takes as long
         """Seconds of the network."""
         start = time.perf_counter()
-        self.session.run(None, {"image": self._image})
+        self.session.run(None, self._given)
         return (time.perf_counter() - start,)
+
+    def opened(self, folder: Path, threads: int) -> dict[str, float]:  # noqa: ARG002 - it needs no frames
+        """By itself."""
+        return opened("peer", self._path, threads=threads)
 
 
 class Run(NamedTuple):

@@ -16,6 +16,7 @@ from torch import nn
 
 from benchmarks import detect
 from benchmarks.fresh import fresh_detector, rendered_maps
+from benchmarks.opening import opened
 from benchmarks.peers import PEERS, Peer, RtmPose, parameters_of
 from benchmarks.subjects import WARM, OurDetector, Run, Subject, figures, frame_batch, timed_run
 from cabinpose.core.errors import ConfigError
@@ -33,7 +34,7 @@ SHOWN = 2
 
 def bench(model: Sequence[str] = (), **flags: Any) -> dict[str, Any]:
     """A bench of one frame, but for what the flags say."""
-    default = {"frames": 1, "repeats": 1, "threads": 1, "skip_fresh": False, "skip_peers": False, "say": lambda _: None}
+    default = {"frames": 1, "repeats": 1, "threads": 1, "peer": (), "skip": (), "say": lambda _: None}
     return detect.run(model=model, **(default | flags))
 
 
@@ -232,6 +233,31 @@ def test_a_small_bench_has_every_figure(model: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_bench")
+def test_networks_in_files_are_peers_without_torch_as_well(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detect, "find_spec", lambda name: None if name == "torch" else SimpleNamespace())
+    file = tmp_path / "theirs.onnx"
+    export = Peer(lambda: RtmPose(0.125, 0.167, size=(64, 96)), (64, 96), "a crop", 3.34, 0.36).export
+    export(file)
+    result = bench([str(model)], peer=[f"theirs={file}"], repeats=2)
+    theirs = result["peers"]["theirs"]
+    assert (theirs["input"], theirs["weights"]) == ([64, 96], "file")
+    assert result["models"]["compact"]["peers_take"] == {"theirs": theirs["p50_ms"] / result["models"]["compact"]["p50_ms"]}
+    for each in (theirs, result["models"]["compact"]):
+        assert 0 < each["load_s"] < 60
+        assert 1 < each["above_runtime_mb"] < 1000
+    assert result["models"]["compact"]["import_s"] > 0
+    for words in ("theirs", f"={file}", "theirs="):
+        with pytest.raises(ConfigError, match="names no network of others"):
+            bench([str(model)], peer=[words])
+    with pytest.raises(ConfigError, match="takes inputs of shapes"):  # ours takes depth and amplitude of any number of frames
+        bench([str(model)], peer=[f"ours={model}"])
+    broken = tmp_path / "broken.onnx"
+    broken.write_bytes(b"no graph")
+    with pytest.raises(ConfigError, match="cannot be opened by itself"):
+        opened("peer", broken, threads=1)
+
+
+@pytest.mark.usefixtures("small_bench")
 def test_without_torch_models_in_files_are_measured(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "find_spec", lambda name: None if name == "torch" else SimpleNamespace())
     said: list[str] = []
@@ -240,7 +266,7 @@ def test_without_torch_models_in_files_are_measured(model: Path, monkeypatch: py
     assert result["peers"] == result["models"]["compact"]["peers_take"] == {}
     assert result["left_out"] == ["fresh", "peers"]
     assert "torch not installed" in said[0]
-    assert bench([str(model)], skip_fresh=True, skip_peers=True)["left_out"] == []
+    assert bench([str(model)], skip=("fresh", "peers"))["left_out"] == []
     with pytest.raises(ConfigError, match="nothing to measure") as caught:
         bench()
     assert caught.value.hint
@@ -250,7 +276,7 @@ def test_without_torch_models_in_files_are_measured(model: Path, monkeypatch: py
 def test_the_packaged_models_are_measured(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "packaged_detectors", lambda: {"in_car": model})
     monkeypatch.setattr(predictor_module, "packaged_models", lambda: {"in_car": model})
-    result = bench(["in_car"], skip_fresh=True, skip_peers=True)
+    result = bench(["in_car"], skip=("fresh", "peers"))
     assert list(result["models"]) == ["compact"]  # once, by the name in the file
 
 
@@ -258,7 +284,7 @@ def test_the_packaged_models_are_measured(model: Path, monkeypatch: pytest.Monke
 def test_models_that_share_a_name_are_told_apart(model: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.onnx"
     copy.write_bytes(model.read_bytes())
-    result = bench([str(model), str(copy)], skip_fresh=True, skip_peers=True)
+    result = bench([str(model), str(copy)], skip=("fresh", "peers"))
     assert list(result["models"]) == [str(model), str(copy)]
 
 

@@ -292,10 +292,11 @@ def test_bench_detect_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPa
     seen: dict[str, object] = {}
     stages = {"input": 0.25, "network": 3.5, "decode": 0.25}
     ours = {"frames_per_s": 240.0, "aim": 60.0, "p50_ms": 4.0, "p95_ms": 5.0, "stages_ms": stages, "frames_per_s_batch": 300.0}
+    opened = {"import_s": 0.5, "load_s": 0.125, "above_runtime_mb": 55.0}
     peer = {"frames_per_s": 20.0, "p50_ms": 50.0, "p95_ms": 60.0, "stages_ms": {"network": 50.0}}
     result = {
-        "models": {"compact_fresh": ours | {"peers_take": {"other": 12.5}}}, "peers": {"other": peer}, "frames": 9, "repeats": 3,
-        "cores": 2, "load_average": {"before": [0.1, 0, 0], "after": [0.9, 0, 0]},
+        "models": {"compact_fresh": ours | opened | {"peers_take": {"other": 12.5}}}, "peers": {"other": peer},
+        "frames": 9, "repeats": 3, "cores": 2, "load_average": {"before": [0.1, 0, 0], "after": [0.9, 0, 0]},
         "runtime": {"onnxruntime": "1.31.1", "intra_op_num_threads": 2},
     }  # fmt: skip
 
@@ -305,15 +306,18 @@ def test_bench_detect_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPa
         return result
 
     monkeypatch.setattr("benchmarks.detect.run", measure)
-    code, out, err = run("bench", "detect", "--model", "a.onnx", "b.onnx", "--frames", "9", "--skip-peers", "--json")
+    code, out, err = run(
+        "bench", "detect", "--model", "a.onnx", "b.onnx", "--peer", "x=x.onnx", "--frames", "9", "--skip-peers", "--json"
+    )
     assert (code, err) == (0, "warming up\n")
     assert json.loads(out) == result
     assert seen == {
-        "model": ("a.onnx", "b.onnx"), "frames": 9, "repeats": 3, "threads": 2, "skip_fresh": False, "skip_peers": True,
+        "model": ("a.onnx", "b.onnx"), "peer": ("x=x.onnx",), "frames": 9, "repeats": 3, "threads": 2, "skip": ("peers",),
     }  # fmt: skip
     head, compact, other, last = run("bench", "detect").out.splitlines()
     assert head.split("  ")[-1].strip() == "other takes"
-    assert compact.split() == ["compact_fresh", "240.0", "60.0", "4.00", "5.00", "0.25", "3.50", "0.25", "300.0", "12.5", "x"]
+    numbers = ["240.0", "60.0", "4.00", "5.00", "0.25", "3.50", "0.25", "300.0", "0.50", "0.12", "55", "12.5", "x"]
+    assert compact.split() == ["compact_fresh", *numbers]
     assert other.split() == ["other", "20.0", "50.00", "60.00", "50.00"]
     assert last.endswith("2 threads of 2 cores; load 0.1 before, 0.9 after")
 

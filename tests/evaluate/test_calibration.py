@@ -126,3 +126,18 @@ def test_an_expected_error_that_is_the_error(dataset: xr.Dataset, predictions: P
     assert abs(numbers(by_score, doubt)) < 0.5
     assert by_score.value(off) is None
     assert by_score.calibration["expected_error"] == {}
+
+
+def test_an_expected_error_is_judged_by_joint(dataset: xr.Dataset, predictions: Predictions) -> None:
+    """One that is right but of one joint, where it is half as large again, is off there alone, by half of its mean error."""
+    expected = with_expected(predictions, dataset, 1.0)
+    expected.expected_error_m[:, :, 1] *= 1.5
+    name, off = predictions.joints[1], "calibration error of the expected error"
+    report = evaluate(dataset, expected, OPTIONS)
+    for joint in predictions.joints:
+        value, mean = report.value(off, "3d", joint), report.value("MPJPE", "3d", joint)
+        assert value is not None
+        assert mean is not None
+        assert value.value == pytest.approx(0.5 * mean.value if joint == name else 0.0, rel=1e-4, abs=1e-5)
+        assert sum(report.calibration["expected_error"][joint]["samples"]) == value.samples
+    assert report.calibration["surest"]["3d"].keys() == report.joint_sets.keys()

@@ -158,14 +158,14 @@ def _calibration(image: SampleView, spaces: Mapping[str, SampleView]) -> dict[st
     """How far a model's confidence can be trusted, by set of joints.
 
     presence: bins of presence with the share that is `in_image`, and `within` d too · surest: by space, the errors of the surest
-    joints · expected_error: bins of the expected error with the mean error (cm). See `calibration`.
+    joints · expected_error: bins of the expected error with the mean error (cm), for each joint as well. See `calibration`.
     """
     told = {
         joints: {"in_image": in_image.to_dict(), "within": within.to_dict()}
         for joints, (in_image, within) in image.presence.items()
     }
     surest = {
-        name: {joints: sure.of_surest(view.hit_shown) for joints, sure in view.confidence.items()}
+        name: {joints: view.confidence[joints].of_surest(view.hit_shown) for joints in view.groups}
         for name, view in spaces.items()
     }
     expected = {joints: sure.of_expected() for joints, sure in spaces["3d"].confidence.items()} if "3d" in spaces else {}

@@ -153,9 +153,9 @@ class SampleView:
 
     @cached_property
     def confidence(self) -> Mapping[str, Confidence]:
-        """For all joints and each group: the errors in this space, those that the model is surest of first."""
+        """For all joints, each group and each joint: the errors in this space, those that the model is surest of first."""
         errors, per_m = self.found_errors * self.per_unit, _UNIT["3d"][1]
-        return {joints: confidence(self.samples, errors, per_m, members) for joints, members in self.groups.items()}
+        return {joints: confidence(self.samples, errors, per_m, members) for joints, members in self.sets.items()}
 
     def length(self, threshold: float) -> Threshold:
         """A threshold in px or m as reports show it."""

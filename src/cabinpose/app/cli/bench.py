@@ -43,6 +43,8 @@ class BenchDetect(PrintsJson):
 
     model: Annotated[tuple[str, ...], several("FILE [FILE ...]")] = ()
     """ONNX files of further models to measure."""
+    peer: Annotated[tuple[str, ...], several("NAME=FILE.onnx [NAME=FILE.onnx ...]")] = ()
+    """Further networks of others: each an ONNX file with one input, an image of a fixed size."""
     frames: int = 100
     """Frames of each timed run."""
     repeats: int = 3
@@ -122,6 +124,8 @@ def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote
     extras = {"record": ("record", "bench"), "lab": ("record",), "live": ("record",)}
     require(*extras.get(name, (name,) if name in ("remote", "studio") else ()))
     flags = {key: value for key, value in vars(command).items() if key != "as_json"}
+    if isinstance(command, BenchDetect):
+        flags["skip"] = tuple(each for each in ("fresh", "peers") if flags.pop(f"skip_{each}"))
     result = _benchmark(name).run(**flags, say=lambda words: print(words, file=sys.stderr))
     if command.as_json:
         print_json(result)
@@ -166,14 +170,18 @@ def _print_budget(result: Mapping[str, Any]) -> None:
 
 
 def _print_detectors(result: Mapping[str, Any]) -> None:
-    """A line for each model and each peer: frames/s, milliseconds of a frame and its stages, and the peers' as its multiples."""
+    """A line for each model and peer: frames/s, milliseconds of a frame and its stages, opening, the peers' as its multiples."""
     models, peers, runtime, load = (result[key] for key in ("models", "peers", "runtime", "load_average"))
     stages = [f"{stage} ms" for stage in _STAGES]
-    rows = [["", "frames/s", "aim", "p50 ms", "p95 ms", *stages, "batch frames/s", *(f"{peer} takes" for peer in peers)]]
+    opening = ["import s", "load s", "MB above the runtime"]
+    rows = [
+        ["", "frames/s", "aim", "p50 ms", "p95 ms", *stages, "batch frames/s", *opening, *(f"{peer} takes" for peer in peers)]
+    ]
     for name, f in (models | peers).items():
         times = f["p50_ms"], f["p95_ms"], *(f["stages_ms"].get(stage) for stage in _STAGES)
         figures = [(f["frames_per_s"], "{:.1f}"), (f.get("aim"), "{:.1f}"), *((time, "{:.2f}") for time in times)]
         figures.append((f.get("frames_per_s_batch"), "{:.1f}"))
+        figures += [(f.get("import_s"), "{:.2f}"), (f.get("load_s"), "{:.2f}"), (f.get("above_runtime_mb"), "{:.0f}")]
         figures += [(f.get("peers_take", {}).get(peer), "{:.1f} x") for peer in peers]
         rows.append([name, *("" if value is None else form.format(value) for value, form in figures)])
     print_table(rows)
