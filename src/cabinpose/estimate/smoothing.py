@@ -215,7 +215,7 @@ def _share(cutoff_hz: Array | float, step_s: Array) -> Array:
     return np.asarray(1.0 / (1.0 + 1.0 / (2.0 * np.pi * cutoff_hz * step_s)))
 
 
-class _State(NamedTuple):
+class _Filtered(NamedTuple):
     """A frame's. state: (P, J, 2, 5) points and their velocities · covariance: (P, J, 2, 2), of each coordinate in m and m/s ·
     predicted, back: (P, J, 2, 5) and (P, J, 2, 2), what the frame before led to expect, and the gain by which that learns of it.
     """
@@ -237,7 +237,7 @@ class FixedLag(Smoother):
                 f"fixed-lag cannot answer {lag} frames later", hint=f"give a lag from 1 to {MOST_LAG}; one-euro answers at once"
             )
         super().__init__(f"fixed-lag {lag}", lag)
-        self._states: deque[_State] = deque(maxlen=lag + 1)
+        self._states: deque[_Filtered] = deque(maxlen=lag + 1)
 
     def _take(self, seen: _Seen) -> None:
         points, t = seen.points, seen.step_s
@@ -246,7 +246,7 @@ class FixedLag(Smoother):
         start[..., 0, 0], start[..., 1, 1] = variance, _START_SPEED**2
         still = np.stack((points, np.zeros_like(points)), axis=2)
         if not self._states:
-            self._states.append(_State(still, start, still, np.zeros_like(start)))
+            self._states.append(_Filtered(still, start, still, np.zeros_like(start)))
             return
         before = self._states[-1]
         move = np.array([[1.0, t], [0.0, 1.0]])
@@ -260,7 +260,7 @@ class FixedLag(Smoother):
         state = predicted + gain[..., None] * surprise[..., None, :]
         covariance = covariance - gain[..., None] * covariance[..., None, 0, :]
         fresh = seen.fresh[..., None, None]
-        self._states.append(_State(np.where(fresh, still, state), np.where(fresh, start, covariance), predicted, back))
+        self._states.append(_Filtered(np.where(fresh, still, state), np.where(fresh, start, covariance), predicted, back))
 
     def _smoothed(self, back: int) -> Array:
         state: Array = self._states[-1].state
