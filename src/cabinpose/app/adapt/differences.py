@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.app.adapt.facts import FrameFacts
+from cabinpose.app.adapt.facts import CameraFacts
 from cabinpose.app.adapt.pseudo_labels import PRESENT
 from cabinpose.core import Bools as Mask
 from cabinpose.core import Camera
@@ -32,7 +32,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Answers:
+class AnswerFacts:
     """How a model answers on frames. nobody: share of them in which nobody is found · joints: found of a person on average ·
     error_m: median expected error of the joints found, m, NaN where it is not known · usual_m: the same where it was calibrated.
     """
@@ -43,13 +43,13 @@ class Answers:
     usual_m: float
 
 
-def answers_of(found: Predictions, model: JointPredictor) -> Answers:
+def answers_of(found: Predictions, model: JointPredictor) -> AnswerFacts:
     """How a model answers, in numbers."""
     there: Mask = np.isfinite(found.joints_3d).all(axis=-1) & (found.presence >= PRESENT)
     people: Mask = np.any(there, axis=2)
     expected = found.expected_error_m[there & np.isfinite(found.expected_error_m)]
     usual = usual_errors(model.model.expected_error, model.joints)
-    return Answers(
+    return AnswerFacts(
         1 - float(people.any(axis=1).mean()),
         float(there.sum(axis=2)[people].mean()) if people.any() else 0.0,
         float(np.median(expected)) if expected.size else math.nan,
@@ -57,7 +57,7 @@ def answers_of(found: Predictions, model: JointPredictor) -> Answers:
     )
 
 
-def differences(model: JointPredictor, theirs: FrameFacts, reference: FrameFacts | None, answers: Answers) -> list[Row]:
+def differences(model: JointPredictor, theirs: CameraFacts, reference: CameraFacts | None, answers: AnswerFacts) -> list[Row]:
     """The rows of the table; reference: None where nothing is known of what the model was trained for."""
     view = model.config.view
     rows = [_camera(theirs, reference, view.shown(theirs.camera), "; ".join(view.doubts(theirs.camera)))]
@@ -92,8 +92,8 @@ def fields_deg(camera: Camera) -> tuple[float, float]:
     return float(angles[1, 0] - angles[0, 0]), float(angles[3, 1] - angles[2, 1])
 
 
-def _camera(theirs: FrameFacts, reference: FrameFacts | None, shown: float, doubts: str) -> Row:
-    def words(facts: FrameFacts) -> str:
+def _camera(theirs: CameraFacts, reference: CameraFacts | None, shown: float, doubts: str) -> Row:
+    def words(facts: CameraFacts) -> str:
         across, down = fields_deg(facts.camera)
         return f"{facts.camera.width} × {facts.camera.height} px, {across:.0f}° × {down:.0f}°"
 
@@ -102,8 +102,8 @@ def _camera(theirs: FrameFacts, reference: FrameFacts | None, shown: float, doub
     return Row("camera", words(theirs), words(reference) if reference else "–", told)
 
 
-def _depths(theirs: FrameFacts, reference: FrameFacts | None, farthest_m: float) -> list[Row]:
-    def span(facts: FrameFacts) -> str:
+def _depths(theirs: CameraFacts, reference: CameraFacts | None, farthest_m: float) -> list[Row]:
+    def span(facts: CameraFacts) -> str:
         return f"{facts.depth_m[1]:.2f} ({facts.depth_m[0]:.2f} to {facts.depth_m[2]:.2f})"
 
     share = theirs.depth_m[1] / reference.depth_m[1] if reference else 1.0
@@ -119,7 +119,7 @@ def _depths(theirs: FrameFacts, reference: FrameFacts | None, farthest_m: float)
     ]
 
 
-def _noise(theirs: FrameFacts, reference: FrameFacts | None) -> list[Row]:
+def _noise(theirs: CameraFacts, reference: CameraFacts | None) -> list[Row]:
     ratio = theirs.noise_m / reference.noise_m if reference else 1.0
     noisy = f"{ratio:.1f} times the noise" if ratio > _NOISIER else ""
     smooth = "smoothed: the camera filters over pixels" if ratio < 1 / _NOISIER else ""

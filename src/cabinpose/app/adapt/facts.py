@@ -27,7 +27,7 @@ _FEWEST_BLOCKS, _LEVELS = 40, 8  # squares that tell the noise at a distance, an
 
 
 @dataclass(frozen=True)
-class FrameFacts:
+class CameraFacts:
     """What some frames of one camera are like.
 
     frames: that were looked at · camera: its intrinsics · depth_m: quantiles 0.05, 0.5, 0.95 of the depths, m · histogram: (B,)
@@ -50,7 +50,7 @@ class FrameFacts:
     still_m: F64
 
 
-def facts_of(dataset: xr.Dataset, groups: NDArray[np.int64] | None = None) -> FrameFacts:
+def facts_of(dataset: xr.Dataset, groups: NDArray[np.int64] | None = None) -> CameraFacts:
     """What the frames of a dataset are like, from at most `LOOKED_AT` of them.
 
     Parameters
@@ -84,7 +84,7 @@ def facts_of(dataset: xr.Dataset, groups: NDArray[np.int64] | None = None) -> Fr
     still = still_noise(_pairs(dataset, groups), step) if groups is not None else np.zeros((0, 2))
     v, u = np.nonzero(valid.mean(axis=0) > _SEEN)
     radius = float(np.quantile(np.hypot(u - camera.cx, v - camera.cy), _FIELD)) if u.size else np.nan
-    return FrameFacts(
+    return CameraFacts(
         len(rows),
         camera,
         (low, middle, high),

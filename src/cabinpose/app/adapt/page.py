@@ -10,8 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.adapt.decision import Compared, Decision
-from cabinpose.app.adapt.differences import Answers, Row
-from cabinpose.app.adapt.facts import BINS_M, FrameFacts
+from cabinpose.app.adapt.differences import AnswerFacts, Row
+from cabinpose.app.adapt.facts import BINS_M, CameraFacts
 from cabinpose.app.adapt.pseudo_labels import PRESENT, PseudoLabels
 from cabinpose.app.report.charts import charts, legend, series_chart
 from cabinpose.app.report.html import Html, document, el, figure, picture_uri, section, table, tiles
@@ -28,14 +28,16 @@ _NOTES = {
     " enough to matter; the limits are assumed.",
     "pseudo": "Frames that may be learnt from: every joint drawn is surely there, expected to be near, and moves as a body can. "
     "They are of the first three quarters; the last quarter of the frames judges.",
-    "decision": "Measured on the last quarter of the frames, which neither model has learnt from, without any label. Intervals"
-    " of the mean difference, after minus before: 95 %, by a bootstrap over rows of ten frames. The adapted model is taken where"
-    " it finds people as often, is better by one measure at least and worse by none.",
+    "decision": "Measured without any label of yours: on the last quarter of the frames, which neither model has learnt from, and"
+    " on generated frames of people who were not learnt from (the best epoch was chosen on these). Of the joints that both models"
+    " find. Intervals of the mean difference, after minus before: 95 %, by a bootstrap over rows of ten frames. The adapted model"
+    " is taken where it finds people as often, is better by one measure at least and worse by none; slightly worse,"
+    " by less than 1 mm of unsteadiness or 1 % of the other two, does not count.",
 }
 
 
 @dataclass(frozen=True)
-class Look:
+class FirstLook:
     """What is known before anything is trained.
 
     model, frames: their names · dataset: the frames that were looked at · rows: what differs · theirs, reference: facts of both,
@@ -46,15 +48,15 @@ class Look:
     frames: str
     dataset: xr.Dataset
     rows: Sequence[Row]
-    theirs: FrameFacts
-    reference: FrameFacts | None
-    answers: Answers
+    theirs: CameraFacts
+    reference: CameraFacts | None
+    answers: AnswerFacts
     found: Predictions
     chosen: PseudoLabels
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Adaptation:
     """What came of the training. noise: of the generated frames, in words · budget: in words · labelled: reports before and after
     where the frames have labels.
     """
@@ -65,7 +67,7 @@ class Outcome:
     labelled: tuple[Report, Report] | None
 
 
-def adapt_page(look: Look, outcome: Outcome | None) -> str:
+def adapt_page(look: FirstLook, outcome: Adaptation | None) -> str:
     """The page (HTML); outcome: None before anything was trained."""
     named = [row for row in look.rows if row.note]
     heading = f"{look.model} on {look.frames}"
@@ -85,7 +87,7 @@ def adapt_page(look: Look, outcome: Outcome | None) -> str:
     return document(f"Adapting {heading}", heading, f"{words[:1].upper()}{words[1:]}.", sections)
 
 
-def _tiles(look: Look, outcome: Outcome | None) -> list[tuple[str, str, str, Sequence[str], str]]:
+def _tiles(look: FirstLook, outcome: Adaptation | None) -> list[tuple[str, str, str, Sequence[str], str]]:
     found, answers = look.dataset.sizes["frame"], look.answers
     kinds = "warn" if answers.nobody > 0.1 else ""
     entries: list[tuple[str, str, str, Sequence[str], str]] = [
@@ -106,7 +108,7 @@ def _tiles(look: Look, outcome: Outcome | None) -> list[tuple[str, str, str, Seq
     return entries
 
 
-def _charts(look: Look) -> Html:
+def _charts(look: FirstLook) -> Html:
     names = ("your frames", "reference")
     middle = ((BINS_M[1:] + BINS_M[:-1]) / 2).tolist()
     far = int(np.ceil(max(f.depth_m[2] for f in (look.theirs, look.reference) if f) * 12)) + 1
@@ -124,7 +126,7 @@ def _charts(look: Look) -> Html:
     return Html(legend(both) + charts(drawn))
 
 
-def _pseudo(look: Look) -> Html:
+def _pseudo(look: FirstLook) -> Html:
     rows: list[Sequence[object]] = [["frames", "how many"], ["learnt from", int(look.chosen.frames.sum())]]
     rows += [[f"left out: {why}", count] for why, count in look.chosen.left_out.items()]
     rows.append(["kept to judge on", len(look.found.frame) - len(look.chosen.frames)])
@@ -134,7 +136,7 @@ def _pseudo(look: Look) -> Html:
     return Html(table(rows) + (el("h3", "Some of them") + pictures if len(picked) else ""))
 
 
-def _picture(look: Look, row: int) -> Html:
+def _picture(look: FirstLook, row: int) -> Html:
     depth: NDArray[np.float32] = look.dataset["depth"].isel(frame=row).values
     kept = look.chosen.joints[row]
     presence = np.where(kept, look.found.presence[row], 0).astype(np.float32)
@@ -146,7 +148,7 @@ def _picture(look: Look, row: int) -> Html:
     return figure(el("img", src=picture_uri(drawn), alt=""), f"frame {int(look.found.frame[row])}: {int(kept.sum())} joints")
 
 
-def _decision(outcome: Outcome) -> Html:
+def _decision(outcome: Adaptation) -> Html:
     decision = outcome.decision
     rows: list[Sequence[object]] = [["", "before", "after", "difference, 95 %", "frames", ""]]
     rows += [[name, *_cells(each)] for name, each in decision.measures.items()]
@@ -174,7 +176,7 @@ def _labelled(reports: tuple[Report, Report]) -> Html:
     return table(rows)
 
 
-def plain(look: Look, outcome: Outcome | None) -> Mapping[str, object]:
+def plain(look: FirstLook, outcome: Adaptation | None) -> Mapping[str, object]:
     """The same as plain data."""
     data: dict[str, object] = {
         "model": look.model,

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.app.adapt.facts import FrameFacts
+from cabinpose.app.adapt.facts import CameraFacts
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, Sensor
 from cabinpose.synth import (
@@ -33,7 +33,7 @@ _CIRCLE = 0.95  # of the way to the farthest corner: depths that end before end 
 _WEAKEST, _STRONGEST = 0.02, 50.0  # power of the fitted light over the preset's
 
 
-class Noise(NamedTuple):
+class NoiseSource(NamedTuple):
     """What noise the scenes have. factor: of the light's power, fitted · words: where the noise is from."""
 
     factor: float
@@ -41,7 +41,7 @@ class Noise(NamedTuple):
 
 
 def their_scenes(
-    theirs: FrameFacts, reference: FrameFacts, slots: Sequence[str], *, base: SynthConfig | None = None,
+    theirs: CameraFacts, reference: CameraFacts, slots: Sequence[str], *, base: SynthConfig | None = None,
     measured: SynthConfig | None = None, poses: NDArray[np.float64] | None = None, people: int = 100,
 ) -> SynthConfig:  # fmt: skip
     """The configuration of scenes that the user's camera could have seen.
@@ -103,7 +103,7 @@ def _places(poses: NDArray[np.float64] | None) -> dict[str, ExactCameraPose]:
     return {f"theirs_{n + 1}": ExactCameraPose(vehicle_from_camera=different[row].tolist()) for n, row in enumerate(rows)}
 
 
-def with_fitted_noise(config: SynthConfig, theirs: FrameFacts, seed: int) -> tuple[SynthConfig, Noise]:
+def with_fitted_noise(config: SynthConfig, theirs: CameraFacts, seed: int) -> tuple[SynthConfig, NoiseSource]:
     """The scenes with so much light that what stands still is as noisy as in the user's frames.
 
     Shot noise: the variance of the depth goes with the inverse of the power. Thresholds of the amplitude and the full well go
@@ -111,7 +111,7 @@ def with_fitted_noise(config: SynthConfig, theirs: FrameFacts, seed: int) -> tup
     """
     if config.noise.kind != "physical" or not len(theirs.still_m):
         why = "the measured law" if config.noise.kind != "physical" else "nothing stands still in rows of frames: the preset's"
-        return config, Noise(1.0, f"{config.noise.kind}, {why}")
+        return config, NoiseSource(1.0, f"{config.noise.kind}, {why}")
     told = config.model_copy(update={"output": config.output.model_copy(update={"noise": True})})
     maker = FrameMaker(told, seed)
     depth, sigma = (np.concatenate(each) for each in zip(*(_sigma(maker.make(i)[0]) for i in range(TRIED)), strict=True))
@@ -122,13 +122,13 @@ def with_fitted_noise(config: SynthConfig, theirs: FrameFacts, seed: int) -> tup
         if at[1] > 0 and (some := (depth >= near) & (depth < far)).sum() > 100
     ]
     if not ratios:
-        return config, Noise(1.0, "physical, generated frames have no depths where theirs have: the preset's")
+        return config, NoiseSource(1.0, "physical, generated frames have no depths where theirs have: the preset's")
     factor = float(np.clip(np.median(ratios) ** 2, _WEAKEST, _STRONGEST))
     sensor = config.camera.sensor_model
     fields = {name: factor * getattr(sensor, name) for name in ("signal_e_per_s", "min_amplitude_e", "full_well_e")}
     camera = config.camera.model_copy(update={"sensor": sensor.model_copy(update=fields)})
     words = f"physical, fitted to what stands still in the frames: {factor:.2g} times the light of the preset"
-    return config.model_copy(update={"camera": camera}), Noise(factor, words)
+    return config.model_copy(update={"camera": camera}), NoiseSource(factor, words)
 
 
 def _sigma(frame: dict[str, NDArray[np.float32]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -137,7 +137,7 @@ def _sigma(frame: dict[str, NDArray[np.float32]]) -> tuple[NDArray[np.float64], 
     return frame["depth"][known].astype(np.float64), 1e-6 * frame["noise"][known].astype(np.float64)
 
 
-def in_their_light(dataset: xr.Dataset, theirs: FrameFacts, ours: FrameFacts) -> xr.Dataset:
+def in_their_light(dataset: xr.Dataset, theirs: CameraFacts, ours: CameraFacts) -> xr.Dataset:
     """Generated frames with the amplitudes in the unit of the user's camera; as they are where either has none."""
     if not np.isfinite(theirs.light) or not np.isfinite(ours.light) or ours.light <= 0:
         return dataset

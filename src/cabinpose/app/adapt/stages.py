@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from cabinpose.app.adapt.differences import answers_of, differences
 from cabinpose.app.adapt.facts import facts_of
-from cabinpose.app.adapt.page import Look
+from cabinpose.app.adapt.page import FirstLook
 from cabinpose.app.adapt.pseudo_labels import Course, Rules, choose, course_of
-from cabinpose.app.adapt.scenes import Noise, their_scenes, with_fitted_noise
+from cabinpose.app.adapt.scenes import NoiseSource, their_scenes, with_fitted_noise
 from cabinpose.app.api import SAMPLE
 from cabinpose.core import OCCUPANT_SLOTS, ConfigError, DatasetError
 from cabinpose.estimate import JointPredictor
@@ -52,7 +52,7 @@ def learning(course: Course) -> int:
 
 def looked_at(
     model: JointPredictor, dataset: xr.Dataset, name: str, rate_hz: float | None, reference: Path | None, step: Step
-) -> Look:
+) -> FirstLook:
     """What is known of a model on the user's frames before anything is trained.
 
     Parameters
@@ -95,7 +95,7 @@ def looked_at(
     first = replace_rows(found, rows)
     chosen = choose(first, course.part(rows), Rules())
     table = differences(model, theirs, known, answers)
-    return Look(model.name, name, dataset, table, theirs, known, answers, found, chosen)
+    return FirstLook(model.name, name, dataset, table, theirs, known, answers, found, chosen)
 
 
 def replace_rows(found: Predictions, rows: NDArray[np.int64]) -> Predictions:
@@ -104,20 +104,22 @@ def replace_rows(found: Predictions, rows: NDArray[np.int64]) -> Predictions:
     return replace(found, **vars(some), frame=found.frame[rows])
 
 
-def kept_labels(look: Look) -> Predictions:
+def kept_labels(look: FirstLook) -> Predictions:
     """The answers that stand for labels, as predictions: all others are not found."""
     rows = np.flatnonzero(look.chosen.frames)
     some, kept = replace_rows(look.found, rows), look.chosen.joints[rows][..., None]
     return replace(some, joints_2d=np.where(kept, some.joints_2d, np.nan), joints_3d=np.where(kept, some.joints_3d, np.nan))
 
 
-def scenes_for(look: Look, base: SynthConfig | None, measured: SynthConfig | None, seed: int) -> tuple[SynthConfig, Noise]:
+def scenes_for(
+    look: FirstLook, base: SynthConfig | None, measured: SynthConfig | None, seed: int
+) -> tuple[SynthConfig, NoiseSource]:
     """Scenes as the user's camera would see them, and where their noise is from."""
     poses = look.dataset["vehicle_from_camera"].values if "vehicle_from_camera" in look.dataset else None
     known = look.reference or look.theirs
     config = their_scenes(look.theirs, known, look.found.persons, base=base, measured=measured, poses=poses)
     if measured is not None:
-        return config, Noise(1.0, "as calibrate-noise measured it")
+        return config, NoiseSource(1.0, "as calibrate-noise measured it")
     return with_fitted_noise(config, look.theirs, seed)
 
 

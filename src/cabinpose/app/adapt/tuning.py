@@ -10,7 +10,7 @@ from typing import Literal
 
 import xarray as xr
 
-from cabinpose.app.adapt.facts import FrameFacts, facts_of
+from cabinpose.app.adapt.facts import CameraFacts, facts_of
 from cabinpose.app.adapt.scenes import in_their_light
 from cabinpose.app.training import stored_frames
 from cabinpose.app.training_split import Sides, training_split
@@ -62,7 +62,7 @@ def check_tunable(model: JointPredictor) -> None:
 
 
 def generated(
-    config: SynthConfig, budget: Budget, out: Path, theirs: FrameFacts, *, resume: bool, show: Callable[[int], None]
+    config: SynthConfig, budget: Budget, out: Path, theirs: CameraFacts, *, resume: bool, show: Callable[[int], None]
 ) -> xr.Dataset:
     """Generated frames in a folder, with the amplitudes in the unit of the user's camera."""
     with warnings.catch_warnings():  # what the user's camera sees of a car, the user knows
@@ -122,6 +122,11 @@ def tuned(
         overwrite=resume,
     )
     return adapted
+
+
+def held_out_of(made: xr.Dataset) -> xr.Dataset:
+    """The generated frames that validate: nobody in them is learnt from."""
+    return training_split({"generated": made}, None, "train", "validate")[1]["generated"]
 
 
 def _sides(made: xr.Dataset | None, theirs: xr.Dataset | None) -> Sides:

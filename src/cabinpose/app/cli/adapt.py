@@ -18,7 +18,7 @@ from cabinpose.app.extras import require
 from cabinpose.core import ConfigError, check_output, write_together
 
 if TYPE_CHECKING:
-    from cabinpose.app.adapt.page import Look, Outcome
+    from cabinpose.app.adapt.page import Adaptation, FirstLook
     from cabinpose.estimate import JointPredictor
 
 _FILES = ("index.html", "report.json")
@@ -129,15 +129,15 @@ def _run(command: Adapt, folder: Path) -> None:
     _tell(command, look, outcome)
 
 
-def _trained(command: Adapt, model: JointPredictor, look: Look) -> Outcome:
+def _trained(command: Adapt, model: JointPredictor, look: FirstLook) -> Adaptation:
     """Generate, fine-tune, export, and hold both models against each other on the frames that judge."""
     import numpy as np
 
-    from cabinpose.app.adapt.decision import decide
-    from cabinpose.app.adapt.page import Outcome
+    from cabinpose.app.adapt.decision import compared_errors, decide
+    from cabinpose.app.adapt.page import Adaptation
     from cabinpose.app.adapt.pseudo_labels import course_of, labelled
     from cabinpose.app.adapt.stages import by_labels, replace_rows, scenes_for
-    from cabinpose.app.adapt.tuning import Budget, generated, tuned
+    from cabinpose.app.adapt.tuning import Budget, generated, held_out_of, tuned
     from cabinpose.estimate import Observers, load_model
     from cabinpose.evaluate import predict_dataset
     from cabinpose.synth import SynthConfig
@@ -178,17 +178,23 @@ def _trained(command: Adapt, model: JointPredictor, look: Look) -> Outcome:
     rest = np.arange(part, len(look.found.frame))
     dataset = look.dataset.isel(frame=rest)
     before = replace_rows(look.found, rest)
-    after = predict_dataset(dataset, load_model(adapted), dataset_id=look.found.dataset)
-    decision = decide(dataset, before, after, course_of(dataset, command.rate_hz), seed=command.seed)
+    new = load_model(adapted, threads=command.threads)
+    after = predict_dataset(dataset, new, dataset_id=look.found.dataset)
+    errors = None
+    if made is not None:
+        held = held_out_of(made)
+        errors = compared_errors(held, predict_dataset(held, model), predict_dataset(held, new), command.seed)
+    course = course_of(dataset, command.rate_hz)
+    decision = decide(dataset, before, after, course, generated=errors, seed=command.seed)
     learnt = {
         "generated": command.frames if made is not None else 0,
         "pseudo-labelled": 0 if theirs is None else theirs.sizes["frame"],
     }
     words = f"{' and '.join(f'{count} {name} frames' for name, count in learnt.items() if count)}, {command.epochs} epochs"
-    return Outcome(noise, words, decision, by_labels(dataset, (before, after)))
+    return Adaptation(noise, words, decision, by_labels(dataset, (before, after)))
 
 
-def _tell(command: Adapt, look: Look, outcome: Outcome | None) -> None:
+def _tell(command: Adapt, look: FirstLook, outcome: Adaptation | None) -> None:
     """What the page says, in short, and what to do next."""
     print_table([["", "your frames", "reference", ""], *look.rows], words=(0, 3))
     chosen = look.chosen
