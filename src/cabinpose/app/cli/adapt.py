@@ -15,7 +15,7 @@ from cabinpose.app.cli.arguments import Maybe, refuse, refuse_existing
 from cabinpose.app.cli.frames import FramesArgument, ReadsFrames, as_dataset
 from cabinpose.app.cli.output import print_json, print_table, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError, check_output, write_together
+from cabinpose.core import ConfigError, check_output, make_folder, write_together
 
 if TYPE_CHECKING:
     from cabinpose.app.adapt.page import Adaptation, FirstLook
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _FILES = ("index.html", "report.json")
 _LABELS = "pseudo-labels.jsonl"
 _ADAPTED, _MADE, _RUN = "adapted.onnx", "generated", "run"
-_MINUTES = 5  # of the default budget
+_MINUTES = 3  # of the default budget
 _LEAST = {"frames": 20, "epochs": 1, "look": 8, "threads": 1}
 
 
@@ -117,12 +117,13 @@ def _run(command: Adapt, folder: Path) -> None:
     whole = open_dataset(folder)
     dataset = whole.isel(frame=some_rows(whole, command.look)).assign_attrs(dataset_id=dataset_id(read_manifest(folder)))
     with progress(dataset.sizes["frame"], "frames") as report:
-        look = looked_at(model, dataset, command.dataset.name, command.rate_hz, command.reference, report)
+        look = looked_at(model, dataset, command.dataset.resolve().name, command.rate_hz, command.reference, report)
     outcome = _trained(command, model, look) if command.train else None
     told = finite(dict(plain(look, outcome)))
     page = {"index.html": adapt_page(look, outcome), "report.json": json.dumps(told, allow_nan=False, indent=2) + "\n"}
-    write_together(command.out, page)
+    make_folder(command.out)
     write_predictions(command.out / _LABELS, kept_labels(look), overwrite=True)
+    write_together(command.out, page)
     if command.as_json:
         print_json({"out": str(command.out), **told})
         return
@@ -217,4 +218,4 @@ def _tell(command: Adapt, look: FirstLook, outcome: Adaptation | None) -> None:
         print(f"hold it against labelled frames: cabinpose evaluate DATASET --model {command.out / _ADAPTED}", file=sys.stderr)
     else:
         words = f"cabinpose adapt {command.model} {command.dataset} --out {command.out} --train --resume"
-        print(f"fine-tune to them (about {_MINUTES} minutes on one core): {words}", file=sys.stderr)
+        print(f"fine-tune to them (about {_MINUTES} CPU minutes): {words}", file=sys.stderr)
