@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import nnls
 
+from cabinpose.app.adapt.facts import filled, mixed_pixels, noise_of, silhouettes
 from cabinpose.app.view.draw import depth_image
 from cabinpose.core.camera import Camera
 from cabinpose.scene.labels import LABEL_ID
@@ -33,7 +34,6 @@ from cabinpose.synth import FrameMaker, room_preset
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 PARTS = 3  # of a pixel's side; edges of the filled depth lie a third of a pixel beside its border, so that pixels mix
-STEP = 0.08  # share of the depth that makes a silhouette
 WALL = MATERIAL_ID["painted_wall"]
 Row = tuple[str, float, float]  # what, theirs, ours
 
@@ -41,31 +41,11 @@ Row = tuple[str, float, float]  # what, theirs, ours
 # ------------------------------------------------------------------------------------------------------------ statistics
 
 
-def filled(depth: F64) -> F64:
-    """Invalid pixels (NaN) with the depth of the nearest valid one."""
-    at = ndimage.distance_transform_edt(np.isnan(depth), return_distances=False, return_indices=True)
-    return np.asarray(depth[tuple(at)])
-
-
-def silhouettes(depth: F64) -> Mask:
-    """Pixels on both sides of a step of depth."""
-    edge = np.zeros(depth.shape, bool)
-    across = np.abs(np.diff(depth, axis=1)) > STEP * np.minimum(depth[:, 1:], depth[:, :-1])
-    along = np.abs(np.diff(depth, axis=0)) > STEP * np.minimum(depth[1:], depth[:-1])
-    edge[:, 1:] |= across
-    edge[:, :-1] |= across
-    edge[1:] |= along
-    edge[:-1] |= along
-    return edge
-
-
 def edge_rows(name: str, real: F64, ours: F64, region: Mask, *, by_distance: bool = True) -> Iterator[Row]:
     """Invalid pixels by distance to the silhouettes of the real frame, width of the ring that they make, and mixed pixels."""
     whole = filled(real)
     edge = silhouettes(whole)
     off = ndimage.distance_transform_edt(~edge)
-    near, far = ndimage.minimum_filter(whole, 7), ndimage.maximum_filter(whole, 7)
-    gap = far - near
 
     def ring(depth: F64) -> tuple[list[float], float, float]:
         lost = np.isnan(depth)
@@ -73,25 +53,13 @@ def edge_rows(name: str, real: F64, ours: F64, region: Mask, *, by_distance: boo
         base = float(lost[region & (off >= 5) & (off < 9)].mean())
         close = region & (off < 4)
         width = float((lost[close] - base).sum()) / (edge & region).sum() * 2  # two pixels of `edge` to a step
-        between = (depth > near + 0.2 * gap) & (depth < far - 0.2 * gap) & (gap > 2 * STEP * near) & close & (off < 2)
-        return shares, width, float(between.sum()) / (edge & region).sum() * 2
+        return shares, width, mixed_pixels(depth, whole, region)
 
     theirs, mine = ring(real), ring(ours)
     if by_distance:
         yield from ((f"{name}: invalid {d} px from a silhouette", theirs[0][d], mine[0][d]) for d in range(4))
     yield f"{name}: width of the invalid ring, px", theirs[1], mine[1]
     yield f"{name}: mixed pixels to a px of silhouette", theirs[2], mine[2]
-
-
-def noise_of(error: F64, where: Mask, step_m: float = 0.0) -> float:
-    """Sigma (m) of what differs from one pixel to the next along a row, without outliers and what rounding adds."""
-    second = error[:, :-2] - 2 * error[:, 1:-1] + error[:, 2:]
-    values = second[where[:, 1:-1] & np.isfinite(second)]
-    if len(values) < 100:
-        return float("nan")
-    for _ in range(5):
-        values = values[np.abs(values - values.mean()) < 3.5 * values.std() + 1e-9]
-    return float(np.sqrt(max(values.var() / 6 - step_m**2 / 12, 0.0)))
 
 
 # ------------------------------------------------------------------------------------------------------------- simulation

@@ -30,6 +30,7 @@ WRITES = {
     "import": "import coco no.json --out {out}",
     "import, a recording": "import bvh no.bvh --out {out}",
     "train": "train no --out {out}",
+    "adapt": "adapt no.onnx no --out {out}",
     "calibrate-confidence": "calibrate-confidence no --model no.onnx --out {out}",
     "predict": "predict no --model no.onnx --out {out}",
     "evaluate": "evaluate no --model no.onnx --out {out}",

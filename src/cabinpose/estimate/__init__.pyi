@@ -9,6 +9,7 @@ from .expected_error import FEWEST as FEWEST
 from .expected_error import METADATA_KEY as METADATA_KEY
 from .expected_error import cues as cues
 from .expected_error import fit_expected_error as fit_expected_error
+from .expected_error import usual_errors as usual_errors
 from .export import export_onnx as export_onnx
 from .export import write_copy as write_copy
 from .found import Found as Found
@@ -17,6 +18,9 @@ from .frame_dataset import FrameDataset as FrameDataset
 from .inputs import TICK_M as TICK_M
 from .inputs import InputView as InputView
 from .inputs import Kept as Kept
+from .joint_predictor import BRIGHTER as BRIGHTER
+from .joint_predictor import FAINTER as FAINTER
+from .joint_predictor import USUAL_LIGHT as USUAL_LIGHT
 from .joint_predictor import JointPredictor as JointPredictor
 from .lifter import LiftedPredictor as LiftedPredictor
 from .lifter import Lifter as Lifter

@@ -141,6 +141,7 @@ def move(batch: Batch, rotation: Tensor, shift: Tensor, rays: Tensor, focal: flo
     # A frame that stays where it is keeps its very numbers.
     still = (rotation == torch.eye(3, device=p.device)).all(-1).all(-1) & (shift == 0).all(-1)
     keep = still[:, None, None]
+    unknown = torch.isnan(batch.joints).any(-1)  # where these are, nothing says that they have left
 
     def carried(image: Tensor) -> Tensor:
         values = image.reshape(n, -1).gather(1, source.reshape(n, -1)).reshape(n, h, w)
@@ -149,7 +150,7 @@ def move(batch: Batch, rotation: Tensor, shift: Tensor, rays: Tensor, focal: flo
     return batch._replace(
         depth=torch.where(keep, batch.depth, taken),
         joints=torch.where(keep.unsqueeze(-1), batch.joints, uvz),
-        visibility=torch.where(keep, batch.visibility, _states_after(batch.visibility, uvz, w, h)),
+        visibility=torch.where(keep | unknown, batch.visibility, _states_after(batch.visibility, uvz, w, h)),
         amplitude=None if batch.amplitude is None else carried(batch.amplitude),
         labels=None if batch.labels is None else carried(batch.labels),
         rgb=None if batch.rgb is None else torch.stack([carried(channel) for channel in batch.rgb.unbind(1)], dim=1),

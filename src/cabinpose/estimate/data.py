@@ -200,8 +200,9 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
     there = [str(frame["subject"][row]) != "" for row in rows]
     seen = np.isin(states, (Visibility.VISIBLE, Visibility.SELF_OCCLUDED)).sum(axis=1) >= _SEEN_JOINTS
     visibility = states if spec.skeleton == CABINPOSE.name else _in_view(uvz, view)
-    if spec.depth:  # the camera may see more than the view
-        visibility = np.where((visibility > 1) & ~view.camera.contains(uvz[..., :2]), Visibility.OUTSIDE_IMAGE, visibility)
+    if spec.depth:  # the camera may see more than the view; a joint whose place is not known is where it is said to be
+        beside = np.isfinite(uvz).all(axis=-1) & ~view.camera.contains(uvz[..., :2])
+        visibility = np.where((visibility > 1) & beside, Visibility.OUTSIDE_IMAGE, visibility)
     images: dict[str, NDArray[Any]] = {name: np.zeros((0, 0)) for name in _IMAGES}
     for name in spec.images:
         source = camera_from(frame["camera_k"], frame["camera_dist"], *frame[name].shape[1::-1])

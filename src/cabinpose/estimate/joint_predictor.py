@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,12 @@ from cabinpose.store import FoundPeople
 
 # Median of amplitude times squared depth (m) over a generated frame, and where a model begins to fail: at a tenth of it the
 # median error of `in_car` is 2.5 cm in place of 1.0, at a hundredth 52, at ten times as much 1.4 and at a hundred times 3.3.
-_USUAL_LIGHT, _FAINTER, _BRIGHTER = 150.0, 7.0, 30.0
+USUAL_LIGHT: Final = 150.0
+"""Median of amplitude times squared depth (camera's unit times m²) in the frames that packaged models learnt from."""
+FAINTER: Final = 7.0
+"""Times as faint as `USUAL_LIGHT`, from which packaged models fail."""
+BRIGHTER: Final = 30.0
+"""Times as bright, from which they fail."""
 _EVERY = 4  # pixels between those that are looked at: a sixteenth tells the median, and a whole image costs half a millisecond
 _MOST_CAMERAS = 16  # whose frames are tried turned and scaled
 _FAR_M = 50.0  # no ToF camera in a car or a room looks so far
@@ -271,14 +276,14 @@ class JointPredictor:
             amplitude, depth = (seen[name][..., ::_EVERY, ::_EVERY] for name in ("amplitude", "depth"))
             light = amplitude * depth**2
             # Counting tells on which side the median is, in less time than finding it takes.
-            above = (0.0, _USUAL_LIGHT / _FAINTER, _USUAL_LIGHT * _BRIGHTER)
+            above = (0.0, USUAL_LIGHT / FAINTER, USUAL_LIGHT * BRIGHTER)
             lit, enough, brighter = (np.count_nonzero(light > least) for least in above)
             if 2 * max(lit - enough, brighter) > lit:
                 median = float(np.median(light[light > 0]))
                 self._warn_once(
                     "light",
                     f"the median of amplitude x depth² is {median:.3g}, where {self.name} has learnt from"
-                    f" {_USUAL_LIGHT:g}: joints will be far off. Scale the amplitudes to that",
+                    f" {USUAL_LIGHT:g}: joints will be far off. Scale the amplitudes to that",
                 )
         return seen
 

@@ -1,3 +1,6 @@
+from .bootstrap import frame_weights as frame_weights
+from .bootstrap import interval as interval
+from .bootstrap import weighted_sums as weighted_sums
 from .boxes import FOUND as FOUND
 from .boxes import Box as Box
 from .boxes import box_of as box_of

@@ -23,7 +23,7 @@ from cabinpose.app.cli.output import TOLD, printable
 GROUPS = MappingProxyType(
     {
         "datasets": ("synth", "train-style", "config", "car", "info", "view", "export", "import", "upgrade"),
-        "detectors": ("train", "models", "calibrate-confidence", "predict", "evaluate", "experiment", "live", "serve"),
+        "detectors": ("train", "adapt", "models", "calibrate-confidence", "predict", "evaluate", "experiment", "live", "serve"),
         "recordings": (
             "record",
             "recover",
