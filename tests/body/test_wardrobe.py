@@ -44,8 +44,18 @@ CHILDREN = [*(f"K{number:02d}" for number in range(14)), *(f"{kind}{number:02d}"
 
 
 @cache
+def bare(name: str):
+    return BodyModel.load().person(SUBJECTS[name].phenotype, PLAIN)
+
+
+@cache
+def clothed(name: str, **worn):
+    """Somebody in the plain outfit with these changes, who is dressed once for all tests."""
+    return bare(name).redressed(replace(PLAIN, **worn))
+
+
 def person(name: str, garment: str):
-    return BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, **WORN.get(garment, {})))
+    return clothed(name, **WORN.get(garment, {}))
 
 
 def dressed(body):
@@ -55,8 +65,13 @@ def dressed(body):
     return draped(seen.vertices, seen.bare, body.rest, middle, head_box(skin, middle), body.outfit), seen
 
 
+@cache
+def draped_on(name: str, garment: str):
+    return dressed(person(name, garment))
+
+
 def pieces(name: str, garment: str):
-    return dressed(person(name, garment))[0]
+    return draped_on(name, garment)[0]
 
 
 def seated() -> np.ndarray:
@@ -92,16 +107,19 @@ def test_a_scarf_lies_round_necks_of_every_age(age: float) -> None:
         assert turn.vertices[:, 2].max() < middle[2]
 
 
-@pytest.mark.parametrize("child", CHILDREN)
+@pytest.mark.parametrize(
+    "child", [pytest.param(child, marks=[pytest.mark.slow] if i % 3 else []) for i, child in enumerate(CHILDREN)]
+)
 def test_children_wear_what_is_about_the_neck(child: str) -> None:
     """All of it is near the bare body and below the eyes, however short the neck."""
     phenotype, _ = Subjects(People(), 0).body(child)
+    plain = BodyModel.load().person(phenotype, PLAIN)
     for garment, far in ABOUT_NECKS_M.items():
-        body = BodyModel.load().person(phenotype, replace(PLAIN, **WORN[garment]))
+        body = plain.redressed(replace(PLAIN, **WORN[garment]))
         made, seen = dressed(body)
-        bare, eyes = cKDTree(seen.bare), body.eye_centres[:, 2].min()
+        skin, eyes = cKDTree(seen.bare), body.eye_centres[:, 2].min()
         for piece in made[:1] if garment == "coat" else made:  # its skirt hangs off the thighs
-            assert np.quantile(bare.query(piece.vertices)[0], 0.97) < far, garment
+            assert np.quantile(skin.query(piece.vertices)[0], 0.97) < far, garment
             assert piece.vertices[:, 2].max() < eyes - 0.01, garment
 
 
@@ -109,7 +127,7 @@ def test_children_wear_what_is_about_the_neck(child: str) -> None:
 @pytest.mark.parametrize("garment", ["collar", "coat", "open_jacket"])
 def test_collars_and_fronts_end_on_the_cloth(name: str, garment: str) -> None:
     """On the shoulders of anybody a collar's leaf is no brim, and the upper edge of an open jacket's fronts no slab."""
-    made, seen = dressed(person(name, garment))
+    made, seen = draped_on(name, garment)
     cloth, columns = cKDTree(seen.vertices), 41
     assert cloth.query(made[0].vertices[8 * columns : 9 * columns])[0].max() < 0.016
     if garment == "open_jacket":
@@ -205,7 +223,7 @@ def test_no_collar_comes_through_what_covers_the_neck(headwear: str) -> None:
 @pytest.mark.parametrize("name", [MAN, WOMAN, "S05"])
 def test_a_mask_covers_mouth_and_nose(name: str) -> None:
     """And neither eye: what a ray from before the face meets first."""
-    body = BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, mask=True))
+    body = clothed(name, mask=True)
     dressed, eyes = body.dressed, body.eye_centres
     mesh = trimesh.Trimesh(dressed.rest, dressed.faces, process=False)
     lips = dressed.rest[dressed.faces[dressed.is_lip]].mean(axis=(0, 1))
@@ -274,7 +292,7 @@ TURNS_DEG = {
 
 def posed_neck(name: str, turn: str, **worn):
     """A seated person who holds the head so: the posed body, its surface, and the place in `PLACES` of each triangle."""
-    body = BodyModel.load().person(SUBJECTS[name].phenotype, replace(PLAIN, **worn))
+    body = clothed(name, **worn)
     q = seated()
     for axis, degrees in TURNS_DEG[turn].items():
         q[DOF_INDEX[axis]] = np.radians(degrees)

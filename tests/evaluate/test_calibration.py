@@ -62,14 +62,17 @@ def test_the_surest() -> None:
 def judged(dataset: xr.Dataset, predictions: Predictions) -> list[tuple[float, bool, bool, float]]:
     """Of each joint with a position: presence, whether it is in the image, and whether within 8 cm or 26 px; its 3D error."""
     found = []
+    names = "visibility", "joints_2d", "joints_3d"
+    state, two, three = (dataset[name].transpose("frame", "person", "joint", ...).values for name in names)  # read once
+    persons, joints = dataset["person"].values.tolist(), dataset["joint"].values.tolist()
     for f in range(dataset.sizes["frame"]):
         for p, person in enumerate(predictions.persons):
             for j, joint in enumerate(predictions.joints):
                 uv, xyz = predictions.joints_2d[f, p, j], predictions.joints_3d[f, p, j]
-                true = dataset.isel(frame=f).sel(person=person, joint=joint)
-                inside = int(true["visibility"]) > Visibility.OUTSIDE_IMAGE
-                error = float(np.linalg.norm(xyz - true["joints_3d"].values))
-                pixels = float(np.linalg.norm(uv - true["joints_2d"].values))
+                true = f, persons.index(person), joints.index(joint)
+                inside = int(state[true]) > Visibility.OUTSIDE_IMAGE
+                error = float(np.linalg.norm(xyz - three[true]))
+                pixels = float(np.linalg.norm(uv - two[true]))
                 near = error <= 0.08 if np.isfinite(xyz).all() else pixels <= 26
                 if np.isfinite(uv).all() or np.isfinite(xyz).all():
                     found.append((float(predictions.presence[f, p, j]), inside, inside and near, error))

@@ -116,22 +116,26 @@ def test_distances_of_each_joint_over_the_frames(
     with (tmp_path / "out" / "distances.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [(row["space"], int(row["frame"])) for row in rows] == [(space, n) for space in ("2d", "3d") for n in range(5)]
+    order = "frame", "person", "joint", ...
+    states, *places = (dataset[of].transpose(*order).values for of in ("visibility", "joints_2d", "joints_3d"))  # read once
+    persons, joints = dataset["person"].values.tolist(), dataset["joint"].values.tolist()
     missed = 0
     for row in rows:
-        truth, everything, counted = dataset.sel(frame=int(row["frame"])), [], 0
+        everything, counted = [], 0
+        frame = dataset["frame"].values.tolist().index(int(row["frame"]))
         at = predictions.frame.tolist().index(int(row["frame"]))
         for joint in predictions.joints:
             d, counts = [], 0
             for p, person in enumerate(predictions.persons):
-                true = truth.sel(person=person, joint=joint)
-                if int(true["visibility"]) < Visibility.OCCLUDED:
+                true = frame, persons.index(person), joints.index(joint)
+                if int(states[true]) < Visibility.OCCLUDED:
                     continue
                 counts += 1
                 j = predictions.joints.index(joint)
-                name, factor = ("joints_2d", 1) if row["space"] == "2d" else ("joints_3d", 100)
+                name, place, factor = ("joints_2d", places[0], 1) if row["space"] == "2d" else ("joints_3d", places[1], 100)
                 found = getattr(predictions, name)[at, p, j]
                 if np.isfinite(found).all() and predictions.presence[at, p, j] >= 0.5:
-                    d.append(factor * float(np.linalg.norm(found - true[name].values)))
+                    d.append(factor * float(np.linalg.norm(found - place[true])))
             everything, counted = everything + d, counted + counts
             missed += counts > 0 and not d
             expected = np.mean(d) if d else np.inf if counts else np.nan

@@ -29,11 +29,13 @@ PX, M = ("2d", 1.0, 26.0, 26.0), ("3d", 100.0, 0.1, 0.2)  # space, report unit i
 def cells(dataset: xr.Dataset, predictions: Predictions, joints: tuple[str, ...], space: str) -> list[dict[str, object]]:
     """Frame by frame, person by person, joint by joint: what is true and what was said."""
     name = f"joints_{space}"
+    states, places = (dataset[of].transpose("frame", "person", "joint", ...).values for of in ("visibility", name))  # read once
+    every = dataset["joint"].values.tolist()
     found = []
     for f, number in enumerate(dataset["frame"].values):
-        for person in dataset["person"].values:
+        for at, person in enumerate(dataset["person"].values):
             for joint in joints:
-                truth = dataset.isel(frame=f).sel(person=person, joint=joint)
+                true = f, at, every.index(joint)
                 i, p, j = (
                     predictions.frame.tolist().index(number),
                     predictions.persons.index(person),
@@ -41,8 +43,8 @@ def cells(dataset: xr.Dataset, predictions: Predictions, joints: tuple[str, ...]
                 )
                 said = getattr(predictions, name)[i, p, j]
                 there = bool(np.isfinite(said).all() and predictions.presence[i, p, j] >= 0.5)
-                state = int(truth["visibility"])
-                error = float(np.linalg.norm(said.astype(float) - truth[name].values)) if there and state >= 2 else None
+                state = int(states[true])
+                error = float(np.linalg.norm(said.astype(float) - places[true])) if there and state >= 2 else None
                 found.append({"joint": joint, "state": state, "found": there, "error": error})
     return found
 

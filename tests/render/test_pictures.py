@@ -310,18 +310,26 @@ def _config(**images: Any) -> SynthConfig:
     return SynthConfig.parse({"camera": {"sensor": sensor}, "images": images, "output": {"frames_per_part": 2}})
 
 
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three frames of seed 7 with both pictures as previews, made by one worker; read only."""
+    folder = tmp_path_factory.mktemp("pictured") / "data"
+    generate(_config(variables=["rgb", "nir"], renderer="raster", samples=4), 3, folder, workers=1, seed=7)
+    return folder
+
+
 @pytest.mark.parametrize("renderer", [pytest.param("path_traced", marks=pytest.mark.slow), "raster"])
 def test_datasets_have_the_same_bytes_whatever_the_workers(renderer: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    config = _config(variables=["rgb", "nir"], renderer=renderer, samples=4)
     if renderer == "path_traced":
         request.getfixturevalue("path_tracer")
-    config = _config(variables=["rgb", "nir"], renderer=renderer, samples=4)
-    files = []
-    for workers in (1, 2):
-        out = tmp_path / str(workers)
-        generate(config, 3, out, workers=workers, seed=7)
-        files.append({p.relative_to(out): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()})
+        generate(config, 3, one := tmp_path / "1", workers=1, seed=7)
+    else:
+        one = request.getfixturevalue("pictured")
+    generate(config, 3, two := tmp_path / "2", workers=2, seed=7)
+    files = [{p.relative_to(out): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()} for out in (one, two)]
     assert files[0] == files[1]
-    dataset = open_dataset(tmp_path / "1")
+    dataset = open_dataset(one)
     assert dataset.rgb.shape == (3, 36, 44, 3)
     assert dataset.nir.shape == (3, 36, 44)
     assert min(dataset.rgb.values.std(), dataset.nir.values.std()) > 10
@@ -330,14 +338,12 @@ def test_datasets_have_the_same_bytes_whatever_the_workers(renderer: str, tmp_pa
     assert all(text.split(":")[0] in {"day", "night", "garage"} for text in dataset.light.values.tolist())
 
 
-def test_pictures_change_nothing_else(tmp_path: Path) -> None:
-    with_pictures = _config(renderer="raster")
-    without = with_pictures.model_copy(update={"images": None})
-    for name, config in (("with", with_pictures), ("without", without)):
-        generate(config, 2, tmp_path / name, workers=1, seed=1)
+def test_pictures_change_nothing_else(pictured: Path, tmp_path: Path) -> None:
+    without = _config().model_copy(update={"images": None})
+    generate(without, 3, tmp_path / "without", workers=1, seed=7)
     assert "images" not in without.model_dump()
     assert "images" not in (tmp_path / "without" / "dataset.yaml").read_text()
-    seen, plain = open_dataset(tmp_path / "with"), open_dataset(tmp_path / "without")
+    seen, plain = open_dataset(pictured), open_dataset(tmp_path / "without")
     assert not {"rgb", "nir", "light", "renderer"} & set(plain.variables)
     for name in plain.variables:
         np.testing.assert_array_equal(seen[name].values, plain[name].values)
@@ -356,11 +362,10 @@ def test_things_have_colours_of_their_own(tmp_path: Path) -> None:
     assert (green > blue).mean() > 0.9
 
 
-def test_view_and_exports_show_the_pictures_and_say_what_made_them(tmp_path: Path) -> None:
+def test_view_and_exports_show_the_pictures_and_say_what_made_them(pictured: Path, tmp_path: Path) -> None:
     from cabinpose.app.cli import main
 
-    data = tmp_path / "data"
-    generate(_config(variables=["rgb", "nir"], renderer="raster"), 2, data, workers=1)
+    data = pictured
     for command in (
         f"view {data} --out {tmp_path / 'view'}",
         f"export {data} --format png-json --out {tmp_path / 'png'}",
@@ -416,9 +421,10 @@ def test_what_cannot_be_is_refused(images: dict[str, Any]) -> None:
 
 
 def test_a_sequence_is_in_one_light() -> None:
-    sequence = {"frames": 2, "rate_hz": 10, "activities": ["rest_lap"]}
+    sequence, sensor = {"frames": 2, "rate_hz": 10, "activities": ["rest_lap"]}, SMALL.model_dump(mode="json")
     scene = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "sequence": sequence}
-    config = SynthConfig.parse({"scene": scene, "images": {"variables": ["rgb"], "renderer": "raster", "light": "day"}})
+    images = {"variables": ["rgb"], "renderer": "raster", "light": "day"}
+    config = SynthConfig.parse({"scene": scene, "camera": {"sensor": sensor}, "images": images})
     maker = FrameMaker(config, 2)
     (first, _), (second, _), (third, _) = (maker.make(index) for index in range(3))
     assert first["light"] == second["light"]

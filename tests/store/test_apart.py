@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import threading
 from pathlib import Path
@@ -12,6 +13,14 @@ from apart_subject import lines
 from cabinpose.core.errors import MocapError
 from cabinpose.store.convert import apart
 from cabinpose.store.convert.apart import CrashedError, items_apart
+
+
+@pytest.fixture(autouse=True)
+def _forked_as_for_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside no threads, of which pytest-timeout's, which only waits, is none."""
+    monkeypatch.setattr(apart, "multiprocessing", multiprocessing)
+    watchdogs = "pytest_timeout"
+    monkeypatch.setattr(threading, "active_count", lambda: sum(not t.name.startswith(watchdogs) for t in threading.enumerate()))
 
 
 def made(path: Path, *words: str) -> Path:

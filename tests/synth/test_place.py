@@ -160,7 +160,9 @@ NARROW = {
 }
 
 
-@pytest.mark.parametrize("car", [car for car in PRESETS if car != "shuttle"])
+@pytest.mark.parametrize(
+    "car", [pytest.param(c, marks=() if c in {"sedan", "van"} else pytest.mark.slow) for c in PRESETS if c != "shuttle"]
+)
 def test_places_of_products_are_free_and_see_the_driver(car: str) -> None:
     """`cluster` and `display` with the narrow lens of such cameras, the others with the wide one, too."""
     cabin, narrow = built(car), Camera.model_validate({"sensor": NARROW}).sensor_model
