@@ -150,16 +150,16 @@ class JointPredictor:
     def _changed(self, frames: FrameBatch, index: int, camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
         """Presence and expected errors (A, P, J) of one frame's alternatives; presence 0 where nobody can be seen."""
         view, images = self.config.view, {"depth", *self.config.inputs}
-        each, filled = [], []
-        for change in ALTERNATIVES:
+        side = self._turned(frames, slice(index, index + 1), 1)
+        presences, errors = [], []
+        for change in ALTERNATIVES:  # one by one: the features of all in a batch would stay in the runtime's memory
             turned = camera.turned(change.quarters)
-            each.append(view_inputs(change.undone(frames, index, images), slice(1), [turned], view, self.config.inputs))
-            filled.append(view.filled(turned))
-        seen = {name: np.concatenate([images[name] for images in each]) for name in each[0]}
-        found = self._found(seen, np.repeat(self._turned(frames, slice(index, index + 1), 1), len(ALTERNATIVES)))
-        blind = np.array([why != "" for why, _ in unseen(seen, filled)])
-        presence = np.where(blind[:, None, None], 0.0, found.presence)
-        return presence, expected_errors(self.model.expected_error, self.joints, found)
+            seen = view_inputs(change.undone(frames, index, images), slice(1), [turned], view, self.config.inputs)
+            found = self._found(seen, side)
+            ((why, _),) = unseen(seen, [view.filled(turned)])
+            presences.append(np.zeros_like(found.presence) if why else found.presence)
+            errors.append(expected_errors(self.model.expected_error, self.joints, found))
+        return np.concatenate(presences), np.concatenate(errors)
 
     def _warn_once(self, of: str, words: str) -> None:
         """Warn, the first time that there is anything of this kind to say."""
