@@ -156,6 +156,7 @@ def test_better_weights_alone_are_shipped_with_their_card(tiny: Campaign) -> Non
     assert told["decides"] == "plain, AUC 2D"
     assert better == (told["after"]["plain"]["AUC 2D"] > told["before"]["plain"]["AUC 2D"])
     assert told["after"]["blind"] == {"false people": 0.0}
+    assert set(campaign.FIGURES) <= told["after"]["plain"].keys()
     if not better:
         assert (packaged.read_bytes(), card.read_bytes()) == before
         tiny.ship(anyway=True)
