@@ -413,17 +413,26 @@ def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
 
 
 def _table(before: Mapping[str, Mapping[str, float]], after: Mapping[str, Mapping[str, float]]) -> str:
-    """Both as a table in Markdown, before → after."""
+    """Both as a table in Markdown, before → after; how many frames a row has stands once."""
     names = list(dict.fromkeys(name for row in after.values() for name in row))
     lines = [f"| | {' | '.join(names)} |", f"|---|{'---|' * len(names)}"]
     for row, values in after.items():
-        cells = [f"{before[row].get(n, np.nan):.1f} → {values[n]:.1f}" if n in values else "–" for n in names]
-        lines.append(f"| {row} | {' | '.join(cells)} |")
+        both = {
+            name: f"{_number(name, before[row].get(name, np.nan))} → {_number(name, value)}" for name, value in values.items()
+        }
+        cells = (both | {name: _number(name, value) for name, value in values.items() if name == "frames"}).get
+        lines.append(f"| {row} | {' | '.join(str(cells(name, '–')) for name in names)} |")
     return "\n".join(lines)
 
 
 def _told(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+    return ", ".join(f"{name} {_number(name, value)}" for name, value in values.items())
+
+
+def _number(name: str, value: float) -> str:
+    """A figure with as many digits as it deserves."""
+    digits = 0 if name == "frames" else 2 if name.endswith(", cm") else 1
+    return f"{value:.{digits}f}"
 
 
 def _rng(seed: int) -> np.random.Generator:

@@ -163,7 +163,7 @@ def test_better_weights_alone_are_shipped_with_their_card(tiny: Campaign) -> Non
     written = yaml.safe_load(card.read_text("utf-8"))
     assert describe_model(packaged)["card"] == written
     assert "2 epochs over some (learning rate 0.01, seed 1); 1 epochs over some" in written["trained"]
-    assert f"AUC 2D {told['after']['plain']['AUC 2D']:.4g}" in written["figures"]["plain"]
+    assert f"AUC 2D {told['after']['plain']['AUC 2D']:.1f}" in written["figures"]["plain"]
     shipped = packaged.read_bytes()
     assert not tiny.ship()  # the same weights are no better
     assert packaged.read_bytes() == shipped
