@@ -38,8 +38,8 @@ class Aligned:
     frame_ns (T,): their stamps, on the host's axis · joints (T, 20, 3) m in the camera frame, NaN in frames that are left out ·
     points (T, 25, 4, 4): camera_from_segment of `suit_points`, which the joints are of · pose_corrected: whether the initial pose
     of the suit was corrected · reason (T,): why a frame is left out, "" for those that are not · delay: of the suit against the
-    optical system · head_residual (T,): rad, by which the two systems see the head apart (`head_agreement`) · joint_shift (T, 20):
-    m, by which depth moved each joint; None where it was not asked.
+    optical system · head_residual (T,): rad, by which the two systems see the head apart (`head_agreement`) · joint_shift
+    (T, 20): m, by which depth moved each joint; None where it was not asked.
     """
 
     subject: str

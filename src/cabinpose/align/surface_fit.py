@@ -100,8 +100,8 @@ def fit_surface(points: Matrix, clouds: Iterable[tuple[int, SurfacePoints]], *, 
 
     Maximum a posteriori: unknown are a constant turn of each segment, one that grows with the angle of its joint, the lengths,
     and the thickness of flesh and clothes by region; priors are the suit's stated errors. A pixel counts where it lies near skin
-    that the camera can see, with a like normal; its weight falls with its residual (Geman & McClure 1987). Where nothing is seen the
-    priors alone speak, and the suit's pose stays.
+    that the camera can see, with a like normal; its weight falls with its residual (Geman & McClure 1987). Where nothing is seen
+    the priors alone speak, and the suit's pose stays.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def fit_surface(points: Matrix, clouds: Iterable[tuple[int, SurfacePoints]], *, 
     flesh = flesh_of(points[known])
     angles = np.zeros((len(points), _SEGMENTS))
     angles[known] = _since_n_pose(points[known])
-    moments = [_Moment.of(points[frame], angles[frame], cloud) for frame, cloud in clouds if known[frame]]
+    moments = [FittedMoment.of(points[frame], angles[frame], cloud) for frame, cloud in clouds if known[frame]]
     mean = np.zeros(_UNKNOWNS)
     mean[_THICK:] = _THICKER_M
     precision = 1.0 / _prior_sd(pose_corrected=pose_corrected) ** 2
@@ -140,7 +140,7 @@ def fit_surface(points: Matrix, clouds: Iterable[tuple[int, SurfacePoints]], *, 
 
 
 @dataclass(frozen=True, eq=False)
-class _Moment:
+class FittedMoment:
     """A frame that is fitted: turns (23, 3, 3) and places (25, 3) of the suit's points, angles (23,) of its joints, by_unknowns
     (25, 3, U): how the points move with the unknowns, and the cloud.
     """
@@ -152,15 +152,19 @@ class _Moment:
     cloud: SurfacePoints
 
     @classmethod
-    def of(cls, points: Matrix, angles: F64, cloud: SurfacePoints) -> _Moment:
+    def of(cls, points: Matrix, angles: F64, cloud: SurfacePoints) -> FittedMoment:
         return cls(points[:_SEGMENTS, :3, :3], points[:, :3, 3], angles, _by_unknowns(points, angles), cloud)
 
-    def equations(self, flesh: Flesh, found: F64, gate: float, scale: float) -> tuple[F64, F64, F64]:
-        """Rows (P, U), residuals (P,) m and weights (P,) 1/m² of the pixels that lie within `gate` of seen skin."""
+    def skin(self, flesh: Flesh, found: F64) -> tuple[F64, F64]:
+        """Places and outward normals (V, 3) of the skin with the unknowns (U,)."""
         vectors = found[:_TURN] + np.repeat(self.angles, 3) * found[_TURN:_LONG]
         turns = self.turns @ Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
         skin, normals = flesh.posed(turns, (self.places + self.by_unknowns @ found[:_THICK])[:_SEGMENTS])
-        skin = skin + normals * found[_THICK + flesh.region][:, None]
+        return skin + normals * found[_THICK + flesh.region][:, None], normals
+
+    def equations(self, flesh: Flesh, found: F64, gate: float, scale: float) -> tuple[F64, F64, F64]:
+        """Rows (P, U), residuals (P,) m and weights (P,) 1/m² of the pixels that lie within `gate` of seen skin."""
+        skin, normals = self.skin(flesh, found)
         facing = np.einsum("vi,vi->v", normals, skin) < _EDGE_ON * np.linalg.norm(skin, axis=1)
         seen = np.flatnonzero(facing & (flesh.region < _REGIONS - 1))
         distance, nearest = KDTree(skin[seen]).query(self.cloud.points, distance_upper_bound=gate)
@@ -176,15 +180,15 @@ class _Moment:
         cells = np.column_stack((np.floor(measured / _PATCH_M), flesh.region[vertex]))
         _, cell = np.unique(cells, axis=0, return_inverse=True)
         weight /= np.bincount(cell.ravel(), minlength=1)[cell.ravel()]
-        return self._rows(flesh, vertex, across, normals[vertex]), residual, weight
+        return self.rows(flesh, vertex, across, normals[vertex]), residual, weight
 
-    def _rows(self, flesh: Flesh, vertex: Ints, across: F64, normals: F64) -> F64:
+    def rows(self, flesh: Flesh, vertex: Ints, across: F64, normals: F64) -> F64:
         """(P, U): how far skin moves along `across` with each unknown: carried by its segments, turned with them, and thicker."""
         rows = np.zeros((len(vertex), _UNKNOWNS))
-        carried = (flesh.weight[vertex][:, :, None] * across[:, None, :]).reshape(len(vertex), -1)
+        carried = (flesh.weight[vertex][:, :, None] * across[:, None, :]).reshape(-1, _TURN)
         rows[:, :_THICK] = carried @ self.by_unknowns[:_SEGMENTS].reshape(-1, _THICK)
         lever = np.cross(flesh.local[vertex], np.einsum("pi,sij->psj", across, self.turns))
-        own = (flesh.weight[vertex][:, :, None] * lever).reshape(len(vertex), -1)
+        own = (flesh.weight[vertex][:, :, None] * lever).reshape(-1, _TURN)
         rows[:, :_TURN] += own
         rows[:, _TURN:_LONG] += own * np.repeat(self.angles, 3)
         rows[np.arange(len(vertex)), _THICK + flesh.region[vertex]] = np.einsum("pi,pi->p", across, normals)
