@@ -8,7 +8,7 @@ from .calibration import KnownDelay as KnownDelay
 from .calibration import Names as Names
 from .calibration import PoseCorrection as PoseCorrection
 from .dataset import AlignedTakes as AlignedTakes
-from .dataset import Corrections as Corrections
+from .dataset import SuitCorrections as SuitCorrections
 from .dataset import TakeReport as TakeReport
 from .dataset import align_takes as align_takes
 from .judge import judge_joints as judge_joints

@@ -78,7 +78,7 @@ class TakeReport:
 
 
 @dataclass(frozen=True)
-class Corrections:
+class SuitCorrections:
     """Which errors of the suits are corrected.
 
     pose: of the initial pose, where the calibration knows them · depth: of the chain, by what the camera sees of who wears it.
@@ -135,7 +135,7 @@ def align_takes(
     subject: str | None = None,
     drive_side: DriveSide | None = None,
     max_lag_s: float = 2.0,
-    corrections: Corrections = Corrections(),
+    corrections: SuitCorrections = SuitCorrections(),
     licence: str = "private",
 ) -> AlignedTakes:
     """Align recordings of one rig and make of them the frames of a dataset.

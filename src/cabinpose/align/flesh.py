@@ -59,7 +59,7 @@ _FAR: Final = {
 }
 
 
-class _Body(NamedTuple):
+class _TPose(NamedTuple):
     """The adult in the T-pose: points (25, 3), skin (V, 3), normals (V, 3), shares (V, 23) of the segments that carry each."""
 
     points: F64
@@ -69,7 +69,7 @@ class _Body(NamedTuple):
 
 
 @cache
-def _body() -> _Body:
+def _t_pose() -> _TPose:
     """An adult between man and woman, of medium build, 1.7 m tall, without the skin of fingers, which bend as they like."""
     person = BodyModel.load().person(Phenotype(muscle=0.4, weight=0.65, height=0.45, stature_m=_STATURE_M))
     q = np.zeros(len(DOFS))
@@ -96,7 +96,7 @@ def _body() -> _Body:
     chosen = np.flatnonzero((shares * finger[bones]).sum(axis=1) < 0.5)
     _, one = np.unique(np.floor(skin[chosen] / _CELL_M), axis=0, return_index=True)
     rows = chosen[one]
-    return _Body(points, skin[rows], normals[rows] / np.linalg.norm(normals[rows], axis=1)[:, None], weights[rows])
+    return _TPose(points, skin[rows], normals[rows] / np.linalg.norm(normals[rows], axis=1)[:, None], weights[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def flesh_of(points: Matrix) -> Flesh:
     An adult of medium build and of the size that the limbs' lengths say, each limb stretched to its own. Who wears the suit is
     thinner or fatter and wears clothes: by how much is for the fit to find, by region.
     """
-    body = _body()
+    body = _t_pose()
     places = points[..., :3, 3]
     long = {s: float(np.linalg.norm(places[:, far] - places[:, s], axis=1).mean()) for s, far in _FAR.items()}
     drawn = {s: float(np.linalg.norm(body.points[far] - body.points[s])) for s, far in _FAR.items()}

@@ -117,7 +117,7 @@ def fit_surface(points: Matrix, clouds: Iterable[tuple[int, SurfacePoints]], *, 
     ndarray
         (T, 20, 3) m: what is to be added to each joint, camera frame; 0 in moments without a pose.
     """
-    known = np.isfinite(points).all(axis=(1, 2, 3))
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=(1, 2, 3)))
     flesh = flesh_of(points[known])
     angles = np.zeros((len(points), _SEGMENTS))
     angles[known] = _since_n_pose(points[known])

@@ -58,7 +58,7 @@ COMMAND = Align
 def run(command: Align) -> None:
     """Align and write, with a progress bar; say what was left out of each take, and how well the joints fit the depth."""
     require("record")
-    from cabinpose.align import Calibration, Corrections, align_takes, judge_joints
+    from cabinpose.align import Calibration, SuitCorrections, align_takes, judge_joints
     from cabinpose.store import check_new_dataset, import_source
 
     if not command.recordings:
@@ -69,7 +69,7 @@ def run(command: Align) -> None:
     calibration = Calibration.load(command.calibration)
     takes = align_takes(
         command.recordings, calibration, subject=command.subject, drive_side=command.drive_side, max_lag_s=command.max_lag,
-        corrections=Corrections(pose=command.pose_correction, depth=command.correct_depth), licence=command.licence,
+        corrections=SuitCorrections(pose=command.pose_correction, depth=command.correct_depth), licence=command.licence,
     )  # fmt: skip
     for warning in takes.warnings:
         print(printable(warning), file=sys.stderr)
