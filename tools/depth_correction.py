@@ -18,7 +18,7 @@ from scipy import stats
 
 from cabinpose.align import Session, align_take, calibrate, correct_by_depth
 from cabinpose.app.lab.laboratory import load_rig, load_truth
-from cabinpose.app.lab.plan import RIG, SESSION, drive_take
+from cabinpose.app.lab.plan import PAIR, RIG, SESSION, drive_take
 from cabinpose.app.lab.score import joint_error
 from cabinpose.core import JOINTS
 from cabinpose.store.recording import Recording
@@ -31,22 +31,29 @@ GROUPS = {
 WORN = {"as worn": False, "N-pose": True}
 
 
-def errors(folder: Path) -> dict[str, list[tuple[list[float], list[float]]]]:
-    """By how the suit is worn, of each person: mean distance of `GROUPS`, cm, before and after."""
+def errors(folder: Path, *, together: bool) -> dict[str, list[tuple[list[float], list[float]]]]:
+    """By how the suit is worn, of each person: mean distance of `GROUPS`, cm, before and after.
+
+    together: in the take of two people in one car, which are fitted by the same frames, instead of their drives.
+    """
     rig = load_rig(folder / RIG)
     session = Session.load(folder / SESSION)
     calibration = calibrate(session).calibration
     found: dict[str, list[tuple[list[float], list[float]]]] = {how: [] for how in WORN}
-    for subject in session.subjects:
-        truth = load_truth(folder, subject)
-        with Recording(folder / drive_take(subject)) as recording:
+    people = list(session.subjects)
+    for take, subjects in {PAIR: people[:2]}.items() if together else {drive_take(each): [each] for each in people}.items():
+        with Recording(folder / take) as recording:
             for how, corrected in WORN.items():
-                before = align_take(recording, calibration, subject, correct_pose=corrected)
-                (after,) = correct_by_depth(recording, [before], calibration)
-                by_joint = [joint_error(each, rig, truth).by_joint() for each in (before, after)]
-                first, second = ([float(np.mean([of[joint] for joint in group])) for group in GROUPS.values()] for of in by_joint)
-                found[how].append((first, second))
-                print(f"{folder.name} {subject} {how}: {first[-1]:.2f} to {second[-1]:.2f} cm", flush=True)
+                worn = [align_take(recording, calibration, subject, correct_pose=corrected) for subject in subjects]
+                fitted = correct_by_depth(recording, worn, calibration)
+                for subject, before, after in zip(subjects, worn, fitted, strict=True):
+                    truth = load_truth(folder, subject, together=together)
+                    by_joint = [joint_error(each, rig, truth).by_joint() for each in (before, after)]
+                    first, second = (
+                        [float(np.mean([of[joint] for joint in group])) for group in GROUPS.values()] for of in by_joint
+                    )
+                    found[how].append((first, second))
+                    print(f"{folder.name} {subject} {how}: {first[-1]:.2f} to {second[-1]:.2f} cm", flush=True)
     return found
 
 
@@ -54,7 +61,9 @@ def main() -> None:
     """Measure the sessions that are named, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sessions", nargs="+", type=Path)
-    measured = [errors(folder) for folder in parser.parse_args().sessions]
+    parser.add_argument("--together", action="store_true", help="the takes of two people in one car instead of the drives")
+    asked = parser.parse_args()
+    measured = [errors(folder, together=asked.together) for folder in asked.sessions]
     for how in WORN:
         before, after = np.array([person for each in measured for person in each[how]]).transpose(1, 2, 0)  # (groups, people)
         step = after - before
