@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.align.chain import joints_in_camera, rigid
+from cabinpose.align.chain import camera_from_suit, joints_in_camera, rigid
 from cabinpose.core.errors import AlignmentError
 from cabinpose.core.frames import apply, is_rigid, transform
 
@@ -28,9 +28,13 @@ def _rig(seed: int, count: int = 7) -> tuple[dict, np.ndarray]:
     return rig, apply(camera_from_world, joints)
 
 
+def _joints(p_joints: np.ndarray, **poses: np.ndarray) -> np.ndarray:
+    return joints_in_camera(camera_from_suit(**poses), p_joints)
+
+
 def test_joints_come_back_wherever_the_suit_thinks_it_is():
     rig, truth = _rig(1)
-    assert np.abs(joints_in_camera(**rig) - truth).max() < 1e-12
+    assert np.abs(_joints(**rig) - truth).max() < 1e-12
 
 
 def test_a_missing_object_leaves_the_moment_out_and_a_missing_joint_itself():
@@ -38,7 +42,7 @@ def test_a_missing_object_leaves_the_moment_out_and_a_missing_joint_itself():
     rig["world_from_object"][3, 0, 3] = np.nan
     rig["world_from_head"][5] = np.nan
     rig["p_joints"][1, 4] = np.nan
-    joints = joints_in_camera(**rig)
+    joints = _joints(**rig)
     gone = np.isnan(joints).any(axis=-1)
     assert gone[3].all()
     assert gone[5].all()
@@ -50,7 +54,11 @@ def test_streams_of_different_length_are_refused():
     rig, _ = _rig(3)
     rig["world_from_object"] = rig["world_from_object"][:-1]
     with pytest.raises(AlignmentError, match="world_from_object"):
-        joints_in_camera(**rig)
+        _joints(**rig)
+    rig, _ = _rig(3)
+    rig["p_joints"] = rig["p_joints"][:-1]
+    with pytest.raises(AlignmentError, match="p_joints"):
+        _joints(**rig)
 
 
 def test_rigid_is_a_pose_or_nothing():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cabinpose.align.calibration import Calibration, Head, Intrinsics, KnownDelay, rows
-from cabinpose.align.dataset import align_takes
+from cabinpose.align.dataset import SuitCorrections, align_takes
 from cabinpose.align.project import REASONS, align_take
 from cabinpose.align.time import TISSUE_S, with_known
 from cabinpose.app.report.heads import write_head_page
@@ -211,6 +211,16 @@ def test_two_people_in_one_take_are_both_in_the_dataset(tmp_path: Path, suit: st
     pages = [(each.sequence, each.recording, each.subject, each.person) for each in takes.reports]
     write_head_page(tmp_path / "dataset", pages, tmp_path / "head.html")
     assert "1 take, " in (tmp_path / "head.html").read_text("utf-8")
+
+
+def test_joints_of_whom_no_pixel_is_seen_stay(tmp_path: Path, take) -> None:
+    path, _ = take
+    takes = align_takes([path], calibration(), corrections=SuitCorrections(depth=True))
+    data = open_dataset(import_source(takes.source, tmp_path / "dataset")).sel(person="driver")
+    assert (data["joint_shift"].values == 0.0).all()
+    true_s = (data["sync_ns"].values - rig_takes.START_NS) / 1e9 - rig_takes.LATENCY_S["tof"]
+    assert np.linalg.norm(data["joints_3d"].values - joints_in_camera(true_s), axis=2).max() < 3e-4
+    assert set(takes.reports[0].depth_corrected_cm.values()) == {0.0}
 
 
 def test_frames_in_which_one_of_two_people_has_no_pose_are_left_out(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from .calibration import KnownDelay as KnownDelay
 from .calibration import Names as Names
 from .calibration import PoseCorrection as PoseCorrection
 from .dataset import AlignedTakes as AlignedTakes
+from .dataset import SuitCorrections as SuitCorrections
 from .dataset import TakeReport as TakeReport
 from .dataset import align_takes as align_takes
 from .judge import judge_joints as judge_joints
@@ -16,6 +17,7 @@ from .posture import pose_shifts as pose_shifts
 from .posture import shifted as shifted
 from .project import Aligned as Aligned
 from .project import align_take as align_take
+from .project import correct_by_depth as correct_by_depth
 from .session import Calibrated as Calibrated
 from .session import Session as Session
 from .session import SubjectSession as SubjectSession

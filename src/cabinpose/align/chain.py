@@ -15,31 +15,41 @@ from cabinpose.core import AlignmentError, Matrix, invert
 F64 = NDArray[np.float64]
 
 
-def joints_in_camera(
-    camera_from_world: Matrix, world_from_object: Matrix, object_from_head: Matrix, world_from_head: Matrix, p_joints: ArrayLike
-) -> F64:
-    """(T, J, 3) joints in the camera frame, m.
+def camera_from_suit(
+    camera_from_world: Matrix, world_from_object: Matrix, object_from_head: Matrix, world_from_head: Matrix
+) -> Matrix:
+    """(T, 4, 4), of each moment: where the suit's own world is, seen from the camera.
 
-    camera_from_world (4, 4) and world_from_object (T, 4, 4) of the optical system, object_from_head (4, 4), and of the suit, in
-    its own world, world_from_head (T, 4, 4) and the joints p_joints (T, J, 3). A moment with NaN in a pose is NaN throughout, a
-    joint with NaN is NaN by itself.
+    camera_from_world (4, 4) and world_from_object (T, 4, 4) of the optical system, object_from_head (4, 4), and of the suit
+    world_from_head (T, 4, 4). A moment with NaN in a pose is NaN throughout. Raises AlignmentError where shapes do not fit.
     """
-    joints = np.asarray(p_joints, np.float64)
-    count = len(joints)
+    count = len(world_from_head)
     for name, matrix, shape in (
         ("camera_from_world", camera_from_world, (4, 4)),
         ("world_from_object", world_from_object, (count, 4, 4)),
         ("object_from_head", object_from_head, (4, 4)),
         ("world_from_head", world_from_head, (count, 4, 4)),
-        ("p_joints", joints, (count, *joints.shape[1:2], 3)),
     ):
         if np.shape(matrix) != shape:
             raise AlignmentError(
                 f"{name} is {np.shape(matrix)}, not {shape}", hint="resample all streams to the camera's frames first"
             )
     # One NaN in a pose spreads through the products to the whole of its moment.
-    camera_from_suit = camera_from_world @ world_from_object @ object_from_head @ invert(world_from_head)
-    result = joints @ np.swapaxes(camera_from_suit[:, :3, :3], -1, -2) + camera_from_suit[:, None, :3, 3]
+    return np.asarray(camera_from_world @ world_from_object @ object_from_head @ invert(world_from_head))
+
+
+def joints_in_camera(chain: Matrix, p_joints: ArrayLike) -> F64:
+    """(T, J, 3) m: joints of the suit's world (T, J, 3) m in the camera frame, by (T, 4, 4) of `camera_from_suit`.
+
+    A joint with NaN is NaN by itself. Raises AlignmentError where there are not as many moments of both.
+    """
+    joints = np.asarray(p_joints, np.float64)
+    if joints.shape != (len(chain), *joints.shape[1:2], 3):
+        raise AlignmentError(
+            f"p_joints is {joints.shape}, not {(len(chain), *joints.shape[1:2], 3)}",
+            hint="resample all streams to the camera's frames first",
+        )
+    result = joints @ np.swapaxes(chain[:, :3, :3], -1, -2) + chain[:, None, :3, 3]
     return np.asarray(result)
 
 

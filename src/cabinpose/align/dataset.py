@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cabinpose import __version__
 from cabinpose.align.calibration import Calibration, other_equipment
 from cabinpose.align.judge import judge_head
-from cabinpose.align.project import Aligned, align_take
+from cabinpose.align.project import Aligned, align_take, correct_by_depth
 from cabinpose.align.streams import camera_identity, equipment, naming
 from cabinpose.align.visibility import visibility
 from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
@@ -45,6 +45,8 @@ class TakeReport:
         Rms and worst angle between the heads of both systems, in the frames that are kept.
     pose_corrected
         Whether the suit's initial pose was corrected.
+    depth_corrected_cm
+        Mean distance by which depth moved each joint; empty where it was not asked.
     joints_measured, joints_floating
         Joints in the image whose depth was measured, and those of them that lie more than 2 cm before the measured surface.
     states
@@ -64,6 +66,7 @@ class TakeReport:
     drift_ppm: float
     head_deg: tuple[float, float]
     pose_corrected: bool
+    depth_corrected_cm: dict[str, float]
     joints_measured: int = 0
     joints_floating: int = 0
     states: Counter[int] = field(default_factory=Counter)
@@ -72,6 +75,17 @@ class TakeReport:
     def floating(self) -> float:
         """Share of floating joints; NaN where the depth told nothing."""
         return self.joints_floating / self.joints_measured if self.joints_measured else float("nan")
+
+
+@dataclass(frozen=True)
+class SuitCorrections:
+    """Which errors of the suits are corrected.
+
+    pose: of the initial pose, where the calibration knows them · depth: of the chain, by what the camera sees of who wears it.
+    """
+
+    pose: bool = True
+    depth: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,7 +135,7 @@ def align_takes(
     subject: str | None = None,
     drive_side: DriveSide | None = None,
     max_lag_s: float = 2.0,
-    correct_pose: bool = True,
+    corrections: SuitCorrections = SuitCorrections(),
     licence: str = "private",
 ) -> AlignedTakes:
     """Align recordings of one rig and make of them the frames of a dataset.
@@ -140,8 +154,10 @@ def align_takes(
     drive_side
         Where the wheel is in all takes; None: as each take says, else as driver or front passenger sit in a car whose place is
         calibrated.
-    max_lag_s, correct_pose
+    max_lag_s
         As in `align_take`.
+    corrections
+        Of the suits' errors.
     licence
         Of the dataset.
 
@@ -156,7 +172,11 @@ def align_takes(
             codes = [subject] if subject else list(recording.take.codes)
             if not codes:
                 raise AlignmentError(f"{path} names no subject", hint="name the people in the rig's `take`, or give --subject")
-            people = [align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=correct_pose) for code in codes]
+            people = [
+                align_take(recording, calibration, code, max_lag_s=max_lag_s, correct_pose=corrections.pose) for code in codes
+            ]
+            if corrections.depth:
+                people = correct_by_depth(recording, people, calibration)
             with naming(recording, "the camera"):
                 doubt = calibration.check_camera(camera_identity(recording, calibration.names.tof))
             told = equipment(recording, calibration.names, calibration.suits(codes))
@@ -164,7 +184,7 @@ def align_takes(
             doubts += other_equipment(calibration.equipment, told)
             warnings += [f"{path.name}: {what}" for what in doubts]
             take = recording.take if drive_side is None else recording.take.model_copy(update={"drive_side": drive_side})
-            takes.append(_joined(path, sequence, take, people, calibration, correct_pose))
+            takes.append(_joined(path, sequence, take, people, calibration))
             warnings += filter(None, (_other_side(takes[-1], calibration), takes[-1].unknown_side))
             for _, report in takes[-1].people:
                 calibrated = calibration.head(report.subject).residual_rad
@@ -179,7 +199,7 @@ def align_takes(
         generator="cabinpose.align", generator_version=__version__, seed=0, licence=licence, width=lens.width, height=lens.height,
         frames=sum(int(each.kept.sum()) for each in takes), persons=persons,
         variables=(
-            *_images(paths[0], calibration), "head_residual",
+            *_images(paths[0], calibration), "head_residual", *(("joint_shift",) if corrections.depth else ()),
             *(("drive_side",) if any(each.drive_side for each in takes) else ()),
         ),
         config={
@@ -189,6 +209,7 @@ def align_takes(
                     "recording": report.recording, "subject": report.subject, "frames": report.frames,
                     "left_out": report.left_out, "suit_delay_s": report.suit_delay_ms / 1000,
                     "suit_drift_ppm": report.drift_ppm, "pose_corrected": report.pose_corrected,
+                    **({"depth_corrected": True} if corrections.depth else {}),
                 }
                 for report in reports
             ],
@@ -202,9 +223,7 @@ def align_takes(
     return AlignedTakes(Source(paths[0], manifest, frames), reports, warnings)
 
 
-def _joined(
-    path: Path, sequence: int, take: Take, people: list[Aligned], calibration: Calibration, correct_pose: bool
-) -> _AlignedTake:
+def _joined(path: Path, sequence: int, take: Take, people: list[Aligned], calibration: Calibration) -> _AlignedTake:
     """The people of a take, with the frames in which the pose of all is known."""
     places = [_place(path, take, each.subject) for each in people]
     if len(set(places)) < len(places):
@@ -227,10 +246,17 @@ def _joined(
             suit_delay_ms=1000 * each.delay.offset_s, suit_delay_interval_ms=(1000 * low, 1000 * high),
             correlation=each.delay.correlation, drift_ppm=1e6 * each.delay.drift,
             head_deg=(float(np.sqrt(np.mean(apart**2))), float(apart.max())),
-            pose_corrected=correct_pose and calibration.head(each.subject).pose_correction is not None,
+            pose_corrected=each.pose_corrected, depth_corrected_cm=_moved_cm(each, kept),
         ))  # fmt: skip
     drive_side = take.drive_side or _seen_side(people, places, calibration)
     return _AlignedTake(path, take, drive_side, list(zip(people, reports, strict=True)), kept)
+
+
+def _moved_cm(aligned: Aligned, kept: NDArray[np.bool_]) -> dict[str, float]:
+    """By joint, how far depth moved it; empty where it was not asked."""
+    if aligned.joint_shift is None:
+        return {}
+    return {joint: float(100 * moved) for joint, moved in zip(JOINTS, aligned.joint_shift[kept].mean(axis=0), strict=True)}
 
 
 def _seen_side(people: Sequence[Aligned], places: Sequence[str], calibration: Calibration) -> str:
@@ -289,6 +315,8 @@ def _frames_of(aligned: _AlignedTake, calibration: Calibration, manifest: Manife
                 report.states.update(states.tolist())
                 put_person(frame, place, camera, _ALL, joints, states)
                 frame["head_residual"][place] = person.head_residual[index]
+                if person.joint_shift is not None:
+                    frame["joint_shift"][place] = person.joint_shift[index]
                 frame["sync_ns"], frame["sequence"] = person.frame_ns[index], report.sequence
                 frame["subject"][place], frame["action"][place] = person.subject, aligned.take.action or UNKNOWN
             yield frame

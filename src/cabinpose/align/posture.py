@@ -43,7 +43,7 @@ def _outwards() -> list[tuple[int, int, int]]:
     return edges
 
 
-_OUTWARDS = _outwards()
+OUTWARDS = _outwards()
 
 
 def n_pose(points: Matrix, arms_off_rad: float = 0.0) -> F64:
@@ -142,7 +142,7 @@ def pose_shifts(points: Matrix, true_places: F64) -> F64:
         )
     shifts = np.zeros((len(POINTS), 3))
     carried = {_HEAD: off[:, _HEAD]}
-    for near, far, moved_point in _OUTWARDS:
+    for near, far, moved_point in OUTWARDS:
         carried[far] = off[:, far] if known[far] else carried[near]
         along = np.einsum("tji,tj->ti", turns[:, CARRIER[moved_point]], carried[far] - carried[near])
         shifts[moved_point] = (1 if far == moved_point else -1) * np.nan_to_num(np.nanmean(along, axis=0))
@@ -159,7 +159,7 @@ def shifted(points: Matrix, shifts: F64) -> F64:
     """The places (T, 25, 3) m of the suit's points with the shifts (25, 3) of `pose_shifts`; the head's stays where it is."""
     places: F64 = points[..., :3, 3].copy()
     moved = np.zeros_like(places)
-    for near, far, carried in _OUTWARDS:
+    for near, far, carried in OUTWARDS:
         step = points[:, CARRIER[carried], :3, :3] @ shifts[carried]
         moved[:, far] = moved[:, near] + (step if far == carried else -step)
     return places + moved

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.align.calibration import Calibration
-from cabinpose.align.chain import joints_in_camera, rigid
+from cabinpose.align.chain import camera_from_suit, joints_in_camera, rigid
 from cabinpose.align.head import head_agreement
 from cabinpose.align.posture import shifted
 from cabinpose.align.streams import frame_times, naming, on_host, seconds
 from cabinpose.align.suit import JOINT_POINTS, POINTS, suit_points
+from cabinpose.align.surface_fit import fit_surface, fitted_frames, surface_cloud
 from cabinpose.align.time import suit_to_optical, trusted
 from cabinpose.align.tracker import as_optical
-from cabinpose.core import CABINPOSE, AlignmentError, UndeterminedError
+from cabinpose.core import CABINPOSE, AlignmentError, Matrix, UndeterminedError
 from cabinpose.signals import Delay, DelaySearch, WindowDelays, resample_positions, resample_rotations
-from cabinpose.store.recording import Recording, segment_series
+from cabinpose.store.recording import Recording, segment_series, tof_frames
 
 F64 = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -34,16 +36,21 @@ class Aligned:
     """A take in one time and space, T frames of the camera.
 
     frame_ns (T,): their stamps, on the host's axis · joints (T, 20, 3) m in the camera frame, NaN in frames that are left out ·
-    reason (T,): why a frame is left out, "" for those that are not · delay: of the suit against the optical system ·
-    head_residual (T,): rad, by which the two systems see the head apart (`head_agreement`).
+    points (T, 25, 4, 4): camera_from_segment of `suit_points`, which the joints are of · pose_corrected: whether the initial pose
+    of the suit was corrected · reason (T,): why a frame is left out, "" for those that are not · delay: of the suit against the
+    optical system · head_residual (T,): rad, by which the two systems see the head apart (`head_agreement`) · joint_shift
+    (T, 20): m, by which depth moved each joint; None where it was not asked.
     """
 
     subject: str
     frame_ns: Times
     joints: F64
+    points: Matrix
+    pose_corrected: bool
     reason: tuple[str, ...]
     delay: Delay
     head_residual: F64
+    joint_shift: F64 | None = None
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -117,19 +124,41 @@ def align_take(
     orientation = resample_rotations(since, suit.orientation_wxyz, at_suit, max_gap_s=SUIT_GAP_S)
     position = resample_positions(since, suit.position_m, at_suit, max_gap_s=SUIT_GAP_S)
     points = suit_points(suit.names, position, orientation, hands_m=head.hands_m)
-    places = points[..., :3, 3]
-    if correct_pose and head.pose_correction is not None:
-        places = shifted(points, head.pose_correction.of_points(POINTS))
     index = suit.names.index(suit_head)
-    joints = joints_in_camera(
-        calibration.extrinsics.matrix, world_from_object, head.matrix, points[:, POINTS.index(suit_head)], places[:, JOINT_POINTS]
-    )
+    chain = camera_from_suit(calibration.extrinsics.matrix, world_from_object, head.matrix, points[:, POINTS.index(suit_head)])
+    pose_corrected = correct_pose and head.pose_correction is not None
+    if correct_pose and head.pose_correction is not None:
+        points[..., :3, 3] = shifted(points, head.pose_correction.of_points(POINTS))
+    joints = joints_in_camera(chain, points[:, JOINT_POINTS][..., :3, 3])
+    points = chain[:, None] @ points
     reason = _reasons(at_optical, at, world_from_object, at_suit, since, joints)
-    aligned = Aligned(subject, frame_ns, joints, reason, delay, head_agreement(orientation[:, index], object_at, head.matrix))
+    aligned = Aligned(
+        subject, frame_ns, joints, points, pose_corrected, reason, delay,
+        head_agreement(orientation[:, index], object_at, head.matrix),
+    )  # fmt: skip
     if not aligned.kept.any():
         counted = ", ".join(f"{count} {why}" for why, count in aligned.left_out.items())
         raise AlignmentError(f"{recording.path}: no frame is left: {counted}", hint="look at the take with `cabinpose view`")
     return aligned
+
+
+def correct_by_depth(recording: Recording, people: Sequence[Aligned], calibration: Calibration) -> list[Aligned]:
+    """The people of one take with the errors of each suit's chain corrected by what the camera sees of them (`fit_surface`).
+
+    Joints move by what the fit says, which lies within the suit's stated errors; those of whom nothing is seen stay.
+    """
+    camera = calibration.intrinsics.camera
+    wanted = set(fitted_frames(np.all([each.kept for each in people], axis=0)).tolist())
+    clouds = [
+        (index, surface_cloud(camera, image.depth_m()))
+        for index, (_, image) in enumerate(tof_frames(recording, calibration.names.tof))
+        if index in wanted
+    ]
+    corrected = []
+    for each in people:
+        shift = fit_surface(each.points, clouds, pose_corrected=each.pose_corrected)
+        corrected.append(replace(each, joints=each.joints + shift, joint_shift=np.linalg.norm(shift, axis=2)))
+    return corrected
 
 
 def _as_known(offset_s: float, interval_s: tuple[float, float], reference_s: float) -> Delay:

@@ -162,6 +162,10 @@ VARIABLES: tuple[Variable, ...] = (
         always=None,
     ),
     Variable(
+        "joint_shift", ("frame", "person", "joint"), "float32", "distance by which depth moved the joint that the suit gave", "m",
+        always=None,
+    ),
+    Variable(
         "gaze", ("frame", "person", "xyz"), "float32", "unit vector of the line of sight, vehicle frame; NaN = none",
         always=2
     ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -41,6 +42,8 @@ class Align(PrintsJson):
     """Side of the wheel in the takes; default: as they say, else by where driver or front passenger sit."""
     pose_correction: bool = True
     """Correct the errors of the suit's own calibration, where the rig's calibration knows them."""
+    correct_depth: bool = False
+    """Correct the errors of the suits' chains by what the depth images show of the people; joints that nothing tells of stay."""
     max_lag: float = 2.0
     """Largest delay between suit and optical system to search, s."""
     licence: str = "private"
@@ -55,7 +58,7 @@ COMMAND = Align
 def run(command: Align) -> None:
     """Align and write, with a progress bar; say what was left out of each take, and how well the joints fit the depth."""
     require("record")
-    from cabinpose.align import Calibration, align_takes, judge_joints
+    from cabinpose.align import Calibration, SuitCorrections, align_takes, judge_joints
     from cabinpose.store import check_new_dataset, import_source
 
     if not command.recordings:
@@ -66,7 +69,7 @@ def run(command: Align) -> None:
     calibration = Calibration.load(command.calibration)
     takes = align_takes(
         command.recordings, calibration, subject=command.subject, drive_side=command.drive_side, max_lag_s=command.max_lag,
-        correct_pose=command.pose_correction, licence=command.licence,
+        corrections=SuitCorrections(pose=command.pose_correction, depth=command.correct_depth), licence=command.licence,
     )  # fmt: skip
     for warning in takes.warnings:
         print(printable(warning), file=sys.stderr)
@@ -100,6 +103,7 @@ def run(command: Align) -> None:
             ("  suit", f"{span}, {take.drift_ppm:+.1f} ppm, {told}"),
             ("  head", f"{take.head_deg[0]:.2f} deg rms between suit and optical system, at most {take.head_deg[1]:.2f}"),
             *((("  initial pose", "corrected"),) if take.pose_corrected else ()),
+            *((("  by depth", _moved(take.depth_corrected_cm)),) if take.depth_corrected_cm else ()),
             ("  joints", ", ".join(states)),
             ("  before the surface", floating),
         ]
@@ -113,6 +117,12 @@ def _plain(take: Any) -> dict[str, Any]:
     values = dataclasses.asdict(take)
     states = {_words(state): count for state, count in sorted(take.states.items())}
     return values | {"states": states, "floating": take.floating}
+
+
+def _moved(by_joint_cm: Mapping[str, float]) -> str:
+    farthest = max(by_joint_cm, key=by_joint_cm.__getitem__)
+    mean = sum(by_joint_cm.values()) / len(by_joint_cm)
+    return f"joints moved by {mean:.1f} cm on average, {farthest} by {by_joint_cm[farthest]:.1f}"
 
 
 def _words(state: int) -> str:
