@@ -56,13 +56,9 @@ def card(model: str) -> str:
 
 # What a page says beside the card that says it too: each number in brackets stands in the card.
 OF_CARDS = [
-    ("in_car", r"\| PCKh@0\.5 2D, AUC 2D \|[^|]+\| \*\*([\d.]+), ([\d.]+)\*\* \| \*\*([\d.]+), ([\d.]+)\*\*"),
-    ("in_car", r"\| wrists, PCKh@0\.5 2D \| 88 \| \*\*([\d.]+)\*\*"),
-    ("in_car", r"\| PCKh@0\.5 3D \(10 cm\), AUC 3D \| – \| ([\d.]+), ([\d.]+)"),
-    ("in_car", r"\| wrists within 10 cm \| – \| ([\d.]+)"),
-    ("in_car", r"\| median error 3D \| 5 cm \| ([\d.]+) cm"),
-    ("in_car", r"\| presence of people, precision and recall \| 95 % \| ([\d.]+), ([\d.]+) %"),
-    ("in_car", r"\| presence of joints, precision and recall \| 95 % \| ([\d.]+), ([\d.]+) %"),
+    ("in_car", r"\| plain \| (\d+) \|" + r" [\d.]+ → ([\d.]+) \|" * 7),
+    ("in_car", r"\| children \(passenger\) \| (\d+) \|" + r" [\d.]+ → ([\d.]+) \|" * 6),
+    ("in_car", r"\| child seats and luggage \| (\d+) \|" + r" – \|" * 6 + r" [\d.]+ → ([\d.]+) \|"),
     ("five_seats", r"\| front row from the front \| ([\d.]+) \([\d.]+\) \| ([\d.]+) \([\d.]+\) \| ([\d.]+) "),
     ("five_seats", r"\| rear row from above \| ([\d.]+) \([\d.]+\) \| ([\d.]+) \([\d.]+\) \| ([\d.]+) "),
     ("five_seats", r"\| rear row from the front, behind the front seats \| ([\d.]+) \("),
