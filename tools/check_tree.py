@@ -31,11 +31,11 @@ FEW_LINES = 25
 # What each figure of the structure may be at most. One that has come down is written down here, so that it stays there.
 STRUCTURE = {
     "functions with more than 7 parameters": 0,
-    "Python modules under 25 lines of code": 45,
-    "modules under 25 lines of code, with C++": 68,
+    "Python modules under 25 lines of code": 41,
+    "modules under 25 lines of code, with C++": 64,
     "import circles": 0,
     "names of classes that stand twice": 35,
-    "lines of code in src and benchmarks": 73_000,
+    "lines of code in src and benchmarks": 72_000,
 }
 # Rooms whose results are the same bits on every processor, and what in them is no part of a dataset, with the reason.
 SAME_BITS = ("core", "scene", "synth")
