@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import faulthandler
 import json
+import multiprocessing
 import os
 import re
 import resource
@@ -26,6 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from cabinpose.core.errors import CabinposeError
+from cabinpose.store.convert import apart
 
 NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 62, (1 << 64) - 1)
 _WORDS = (
@@ -104,6 +106,7 @@ def survive(
 
 def _child(read: Read, files: Iterator[bytes], folder: Path, suffix: str, told: Path) -> int:
     faulthandler.disable()  # the exit code tells
+    apart.multiprocessing = multiprocessing  # the server that the suite's readers are forked off is no child of this process
     sys.stdout = sys.stderr = (folder / "said.txt").open("w")
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # a hang ends the process
     path = folder / f"damaged{suffix}"

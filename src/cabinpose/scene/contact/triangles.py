@@ -127,7 +127,7 @@ def _pseudo_normals(corners: Floats, faces: Ints32, count: int, *, closed: bool)
 def sampled_surface(corners: Floats, spacing: float) -> Floats:
     """Points (N, 3) over triangles (F, 3, 3), no farther apart than `spacing` (all in m), those on shared edges once."""
     longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
-    pieces = np.ceil(longest / spacing).astype(int)
+    pieces = np.maximum(np.ceil(longest / spacing).astype(int), 1)  # of a triangle that is a point, its corners
     points = []
     for n in np.unique(pieces):
         i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
