@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cabinpose._native import body as native
 from cabinpose.align.suit import CARRIER, POINTS
 from cabinpose.core import CABINPOSE, MVN_SEGMENTS, Matrix
 from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, BodyModel, Phenotype
@@ -82,12 +83,8 @@ def _t_pose() -> _TPose:
         origins[MVN_SEGMENTS.index(segment)] = posed.joints[CABINPOSE.index[joint]]
     points = np.concatenate((origins, posed.joints[CABINPOSE.indices(["lhand", "rhand"])]))
 
-    skin = posed.skin.astype(np.float64)
-    corners = skin[person.skin_faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(skin)
-    for corner in person.skin_faces.T:
-        np.add.at(normals, corner, across)
+    skin, normals = posed.skin.astype(np.float64), np.empty_like(posed.skin)
+    native.vertex_normals(posed.skin, person.skin_faces, normals)
     bones, shares, _ = person.skin_weights(np.arange(len(skin)))
     weights = np.zeros((len(skin), len(MVN_SEGMENTS)))
     for bone, share in zip(bones.T, shares.T, strict=True):
@@ -96,7 +93,7 @@ def _t_pose() -> _TPose:
     chosen = np.flatnonzero((shares * finger[bones]).sum(axis=1) < 0.5)
     _, one = np.unique(np.floor(skin[chosen] / _CELL_M), axis=0, return_index=True)
     rows = chosen[one]
-    return _TPose(points, skin[rows], normals[rows] / np.linalg.norm(normals[rows], axis=1)[:, None], weights[rows])
+    return _TPose(points, skin[rows], normals[rows].astype(np.float64), weights[rows])
 
 
 @dataclass(frozen=True, eq=False)

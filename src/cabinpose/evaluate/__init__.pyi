@@ -8,7 +8,6 @@ from .boxes import boxes_by_range as boxes_by_range
 from .caveats import Caveats as Caveats
 from .caveats import trained_words as trained_words
 from .groups import Grouping as Grouping
-from .groups import Worst as Worst
 from .groups import groupings as groupings
 from .groups import read_group_by as read_group_by
 from .itop import evaluate_itop as evaluate_itop

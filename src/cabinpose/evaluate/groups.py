@@ -18,10 +18,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import ConfigError, DatasetError, unknown_name
-from cabinpose.evaluate.bootstrap import LEVEL, Weights, frame_weights, interval, weighted_sums
+from cabinpose.evaluate.bootstrap import LEVEL, Weights, interval, weighted_sums
 from cabinpose.evaluate.metrics import METRICS, Value, within_head
 from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.sample_view import ALL, ANY, SampleView, Sets, by_frames
+from cabinpose.evaluate.sample_view import ALL, SampleView, Sets, by_frames, resampled_frames
 from cabinpose.evaluate.samples import Samples, Space
 
 SEAT = "seat"
@@ -142,7 +142,9 @@ def groupings(
     DatasetError
         Where a label is known of nobody.
     """
-    weights = frame_weights(len(samples.frames), options.resamples, rng=np.random.Generator(np.random.Philox(key=options.seed)))
+    if not by:
+        return ()
+    weights = resampled_frames(samples, options)
     return tuple(_grouping(samples, dataset, each, options, weights, training) for each in by)
 
 
@@ -262,7 +264,7 @@ def _worst(samples: Samples, members: Mapping[str, Bool], options: EvaluationOpt
     judged = {name: rows for name, rows in members.items() if name != UNKNOWN and rows.sum() >= _FEWEST}
     if len(judged) < 2:
         return None
-    view = _AllJoints(samples, options, weights, next(iter(samples.spaces())), ANY)
+    view = _AllJoints(samples, options, weights, next(iter(samples.spaces())))
     sized = view.counts & np.isfinite(view.head)
     right = sized & view.found & within_head(view.error, view.head, WORST_BY)
 

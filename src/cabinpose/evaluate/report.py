@@ -81,7 +81,7 @@ def make_report(
     A metric of another package that cannot be loaded, or that raises, is left out with a warning that names the package.
     """
     skeleton = samples.skeleton
-    views = sample_views(samples, options, rng=np.random.Generator(np.random.Philox(key=options.seed)))
+    views = sample_views(samples, options)
     spaces = {view.space: view for view in views if view.visibility == ANY and view.space != IMAGE}
     ranked = _ranked(samples)
     middle = (len(ranked) - _SHOWN) // 2

@@ -222,9 +222,14 @@ class SampleView:
                 yield Number(joints, float(now[i]), denominator, len(flat), float(low[i]), float(high[i]), name=name)
 
 
-def sample_views(samples: Samples, options: EvaluationOptions, *, rng: np.random.Generator) -> tuple[SampleView, ...]:
+def resampled_frames(samples: Samples, options: EvaluationOptions) -> Weights:
+    """(B, F) how often each frame is drawn in each resample: by the options' seed, so that all numbers of a report share them."""
+    return frame_weights(len(samples.frames), options.resamples, rng=np.random.Generator(np.random.Philox(key=options.seed)))
+
+
+def sample_views(samples: Samples, options: EvaluationOptions) -> tuple[SampleView, ...]:
     """All views, in the order of reports: of each space with all joints that count, then by visibility; last the image's."""
-    weights = frame_weights(len(samples.frames), options.resamples, rng=rng)
+    weights = resampled_frames(samples, options)
     states = (ANY, *(state.name.lower() for state in STATES if state >= options.min_visibility))
     views = [SampleView(samples, options, weights, space, state) for space in samples.spaces() for state in states]
     return (*views, SampleView(samples, options, weights, IMAGE))

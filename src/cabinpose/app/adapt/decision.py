@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.app.adapt.pseudo_labels import PRESENT, Course
+from cabinpose.app.adapt.pseudo_labels import Course, is_found
 from cabinpose.core import Visibility, skeleton_of, surface_depth
 from cabinpose.evaluate import frame_weights, interval, weighted_sums
 from cabinpose.store import Predictions, camera_of
@@ -162,7 +162,7 @@ def _block_numbers(course: Course) -> NDArray[np.int64]:
 
 def found_only(found: Predictions) -> Floats:
     """(F, P, J, 3) m, NaN where a joint is not found."""
-    return np.where((found.presence >= PRESENT)[..., None], found.joints_3d, np.nan).astype(np.float64)
+    return np.where(is_found(found)[..., None], found.joints_3d, np.nan).astype(np.float64)
 
 
 def common_joints(before: Predictions, after: Predictions) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cabinpose.app.adapt.facts import CameraFacts
-from cabinpose.app.adapt.pseudo_labels import PRESENT
+from cabinpose.app.adapt.pseudo_labels import is_found
 from cabinpose.core import Bools as Mask
 from cabinpose.core import Camera
 from cabinpose.estimate import BRIGHTER, FAINTER, USUAL_LIGHT, JointPredictor, usual_errors
@@ -18,8 +18,8 @@ from cabinpose.store import Predictions
 _NEARER, _FARTHER = 0.6, 1.6  # median depth over the reference's, beyond which people are in another place
 _HOLES = 0.15  # more pixels without a depth
 _NOISIER = 2.0  # times the noise between neighbours
-_NOBODY = 0.1  # share of the frames without anybody
-_UNSURE = 1.5  # times the expected error of the frames that the model was calibrated on
+NOBODY = 0.1  # share of the frames without anybody
+UNSURE = 1.5  # times the expected error of the frames that the model was calibrated on
 
 
 class Row(NamedTuple):
@@ -45,7 +45,7 @@ class AnswerFacts:
 
 def answers_of(found: Predictions, model: JointPredictor) -> AnswerFacts:
     """How a model answers, in numbers."""
-    there: Mask = np.isfinite(found.joints_3d).all(axis=-1) & (found.presence >= PRESENT)
+    there = is_found(found)
     people: Mask = np.any(there, axis=2)
     expected = found.expected_error_m[there & np.isfinite(found.expected_error_m)]
     usual = usual_errors(model.model.expected_error, model.joints)
@@ -65,12 +65,12 @@ def differences(model: JointPredictor, theirs: CameraFacts, reference: CameraFac
     rows += _noise(theirs, reference)
     if "amplitude" in model.images:
         rows.append(_light(theirs.light))
-    few = f"nobody is found in {_percent(answers.nobody)} of the frames" if answers.nobody > _NOBODY else ""
+    few = f"nobody is found in {_percent(answers.nobody)} of the frames" if answers.nobody > NOBODY else ""
     rows.append(Row("frames in which nobody is found", _percent(answers.nobody), "", few))
     rows.append(Row("joints found of a person", f"{answers.joints:.1f} of {len(model.joints)}", "", ""))
     if math.isfinite(answers.error_m):
         share = answers.error_m / answers.usual_m
-        note = f"{share:.1f} times as much as on the frames it was calibrated on" if share > _UNSURE else ""
+        note = f"{share:.1f} times as much as on the frames it was calibrated on" if share > UNSURE else ""
         rows.append(Row("expected error, median", f"{100 * answers.error_m:.1f} cm", f"{100 * answers.usual_m:.1f} cm", note))
     return rows
 

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.app.adapt.decision import Compared, Decision
-from cabinpose.app.adapt.differences import AnswerFacts, Row
+from cabinpose.app.adapt.differences import NOBODY, UNSURE, AnswerFacts, Row
 from cabinpose.app.adapt.facts import BINS_M, CameraFacts
 from cabinpose.app.adapt.pseudo_labels import PRESENT, PseudoLabels
 from cabinpose.app.report.charts import charts, legend, series_chart
@@ -89,13 +89,13 @@ def adapt_page(look: FirstLook, outcome: Adaptation | None) -> str:
 
 def _tiles(look: FirstLook, outcome: Adaptation | None) -> list[tuple[str, str, str, Sequence[str], str]]:
     found, answers = look.dataset.sizes["frame"], look.answers
-    kinds = "warn" if answers.nobody > 0.1 else ""
+    kinds = "warn" if answers.nobody > NOBODY else ""
     entries: list[tuple[str, str, str, Sequence[str], str]] = [
         (str(found), "", "frames looked at", (), ""),
         (f"{100 * (1 - answers.nobody):.0f}", "%", "in which somebody is found", (), kinds),
     ]
     if np.isfinite(answers.error_m):
-        bad = "warn" if answers.error_m > 1.5 * answers.usual_m else ""
+        bad = "warn" if answers.error_m > UNSURE * answers.usual_m else ""
         entries.append(
             (f"{100 * answers.error_m:.1f}", "cm", "expected error", (f"usually {100 * answers.usual_m:.1f} cm",), bad)
         )

@@ -60,6 +60,11 @@ class PseudoLabels(NamedTuple):
     left_out: dict[str, int]
 
 
+def is_found(found: Predictions) -> Mask:
+    """(F, P, J) whether a joint counts as found: it has a place, and a presence of `PRESENT` or more."""
+    return np.asarray(np.isfinite(found.joints_3d).all(axis=-1) & (found.presence >= PRESENT))
+
+
 def course_of(dataset: xr.Dataset, rate_hz: float | None = None) -> Course:
     """How the frames of a dataset follow each other: by their times, or by a rate where they have none."""
     number, sequence, stamp = (dataset[name].values.astype(np.int64) for name in ("frame", "sequence", "sync_ns"))
@@ -96,7 +101,7 @@ def choose(found: Predictions, course: Course, rules: Rules) -> PseudoLabels:
     expected errors is taken at its presence; a joint of which it alone knows none is not sure.
     """
     expected = found.expected_error_m.astype(np.float64)
-    there: Mask = np.isfinite(found.joints_3d).all(axis=-1) & (found.presence >= PRESENT)
+    there = is_found(found)
     near = expected <= rules.error_m if np.isfinite(expected).any() else np.ones_like(there)
     sure = there & (found.presence >= rules.presence) & near
     slack = np.where(np.isfinite(expected), expected, rules.error_m)
