@@ -30,7 +30,7 @@ VIEW = CONFIG.view
 class Drawing:
     """A trained paf whose network draws its maps about two surfaces that it sees, the nearest at the left and the right half."""
 
-    name, config, drive_side, expected_error = "drawing", CONFIG, "", {}
+    name, config, drive_side, expected_error, answers = "drawing", CONFIG, "", {}, ()
     persons, joints, skeleton, learnt = CONFIG.slots, CONFIG.joints, "cabinpose", CABINPOSE
     trained_on: ClassVar[dict[str, str]] = {}
 

@@ -12,39 +12,22 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.found import mirrored_slots as mirrored_slots
 from cabinpose.estimate.settings import AugmentConfig as AugmentConfig
-from cabinpose.scene import LABEL_ID
 
 _BEHIND_M = 0.1  # a pixel farther than that behind its neighbours is seen through a hole in their surface
 
 
 class Mirror(NamedTuple):
-    """What a mirror image swaps: positions of the mirror joints, of the mirror places, and of those on benches that face each
-    other, and the (256,) table of pixel classes.
-    """
+    """What a mirror image swaps: positions of the mirror joints and mirror places, and the (256,) table of pixel classes."""
 
     joints: Sequence[int]
     slots: Sequence[int]
-    facing_slots: Sequence[int]
     labels: Tensor
-
-
-def mirrored_labels() -> NDArray[np.uint8]:
-    """(256,) the class of the mirrored pixel by the class of the pixel (`scene.labels`): left and right parts change."""
-    table = np.arange(256, dtype=np.uint8)
-    for name, number in LABEL_ID.items():
-        if name.endswith("_left"):
-            partner = LABEL_ID[name.removesuffix("left") + "right"]
-            table[number], table[partner] = partner, number
-    return table
 
 
 def augment(
@@ -206,20 +189,19 @@ def _states_after(visibility: Tensor, uvz: Tensor, width: int, height: int) -> T
 
 def flip(batch: Batch, chosen: Tensor, mirror: Mirror, width: int) -> Batch:
     """Mirror images of the chosen frames (N,) of a view of `width` pixels; left and right joints, places and parts swapped."""
-    plain, facing = (torch.tensor(slots, device=chosen.device) for slots in (mirror.slots, mirror.facing_slots))
-    slots = plain.expand(len(chosen), -1) if batch.facing is None else torch.where(batch.facing[:, None], facing, plain)
-    frames, joints = torch.arange(len(chosen), device=chosen.device)[:, None], list(mirror.joints)
-    mirrored = batch.joints[frames, slots][:, :, joints].clone()
+    slots, joints = list(mirror.slots), list(mirror.joints)
+    mirrored = batch.joints[:, slots][:, :, joints].clone()
     mirrored[..., 0] = width - 1 - mirrored[..., 0]
     one, two, three = chosen[:, None], chosen[:, None, None], chosen[:, None, None, None]
     labels = None if batch.labels is None else mirror.labels.to(batch.labels.dtype)[batch.labels.long()].flip(-1)
     return batch._replace(
         depth=torch.where(two, batch.depth.flip(-1), batch.depth),
         joints=torch.where(three, mirrored, batch.joints),
-        visibility=torch.where(two, batch.visibility[frames, slots][:, :, joints], batch.visibility),
-        present=torch.where(one, batch.present[frames, slots], batch.present),
+        visibility=torch.where(two, batch.visibility[:, slots][:, :, joints], batch.visibility),
+        present=torch.where(one, batch.present[:, slots], batch.present),
         amplitude=None if batch.amplitude is None else torch.where(two, batch.amplitude.flip(-1), batch.amplitude),
         labels=None if batch.labels is None or labels is None else torch.where(two, labels, batch.labels),
+        wheel=None if batch.wheel is None else torch.where(chosen, -batch.wheel, batch.wheel),
         rgb=None if batch.rgb is None else torch.where(three, batch.rgb.flip(-1), batch.rgb),
     )
 

@@ -17,8 +17,8 @@ class Batch(NamedTuple):
     depth: (N, h, w) m, 0 = invalid; (N, 0, 0) for a method without images · joints: (N, S, J, 3) u, v (px) and depth (m), NaN
     unknown · visibility: (N, S, J) uint8, the five states of the standard · present: (N, S) bool, somebody the camera sees
     sits there · amplitude: (N, h, w), or None where the method does not read it · labels: (N, h, w) uint8 classes of the
-    pixels, or None where the method does not need them · facing: (N,) bool, benches face each other; None: nowhere · rgb: (N, 3,
-    h, w) sRGB, 0 to 255, or None where the method does not read it.
+    pixels, or None where the method does not need them · wheel: (N,) int8, 1 where it is on the left, -1 on the right, 0 none or
+    not known; None: nowhere · rgb: (N, 3, h, w) sRGB, 0 to 255, or None where the method does not read it.
     """
 
     depth: Tensor
@@ -27,7 +27,7 @@ class Batch(NamedTuple):
     present: Tensor
     amplitude: Tensor | None = None
     labels: Tensor | None = None
-    facing: Tensor | None = None
+    wheel: Tensor | None = None
     rgb: Tensor | None = None
 
     def images(self, names: Sequence[str]) -> tuple[Tensor, ...]:

@@ -18,7 +18,9 @@ from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
 from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility, camera_from, has_joint_map, told_as
 from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import TICK_M, InputView, Kept, channels_first
+from cabinpose.scene import LABEL_ID
 from cabinpose.store import dataset_skeleton, frame_ranges, joint_dimension, joints_variable, merged_ranges
 
 _IMAGES = {"depth": 2, "amplitude": 2, "labels": 1, "rgb": 3}  # bytes of a pixel as it is kept
@@ -83,8 +85,7 @@ class StoredFrames(Dataset[Kept]):
         if self._kept is not None and index in self._kept:
             return self._kept[index]
         names = [*self.spec.images, joints_variable(self.spec.skeleton), "visibility", "camera_k", "camera_dist", "subject"]
-        if "vehicle_from_camera" in self._dataset:
-            names.append("vehicle_from_camera")
+        names += [name for name in ("vehicle_from_camera", "drive_side") if name in self._dataset.variables]
         frame = {name: self._dataset.variables[name][index].values for name in names}  # coordinates would cost two thirds more
         if self._placed is not None:
             frame["joints_3d"] = told_as(frame["joints_3d"], self._placed.joints, self._placed, CABINPOSE)
@@ -192,7 +193,10 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
 
 
 def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -> Kept:
-    """One frame of the standard's variables in the view of a spec; `rows` of its persons are the places."""
+    """One frame of the standard's variables in the view of a spec; `rows` of its persons are the places.
+
+    Places are those of cars with the wheel on the left: of a frame with the wheel on the right it is the mirror image.
+    """
     view = spec.view
     joints = np.asarray(frame[joints_variable(spec.skeleton)], dtype=np.float64)[rows]
     uvz = view.to_view(joints)
@@ -210,26 +214,65 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
             images["depth"] = np.round(view.depth(frame[name], source) / TICK_M)
         else:
             images[name] = view.resample(channels_first(frame[name]) if name == "rgb" else frame[name], source)
-    return Kept(
+    wheel = _wheel(frame, spec, joints)
+    kept = Kept(
         images["depth"].astype(np.uint16),
         uvz[:, spec.columns].astype(np.float32),
         visibility[:, spec.columns].astype(np.uint8),
         seen & np.array(there),
         images["amplitude"].astype(np.uint16),
         images["labels"].astype(np.uint8),
-        np.array(_facing(frame, spec, joints)),
+        np.array(abs(wheel), np.int8),
         images["rgb"].astype(np.uint8),
     )
+    return _mirror_image(kept, spec) if wheel < 0 else kept
 
 
-def _facing(frame: Mapping[str, Any], spec: FrameSpec, joints: NDArray[np.float64]) -> bool:
-    """Whether benches face each other: left hips of the front row lie to the right in the vehicle. joints: (P, J, 3) m."""
-    front = [i for i, slot in enumerate(spec.slots) if slot in ("driver", "front_passenger")]
-    if spec.skeleton != CABINPOSE.name or not front or "vehicle_from_camera" not in frame:
-        return False
-    across = joints[front, CABINPOSE.index["lpelvis"]] - joints[front, CABINPOSE.index["rpelvis"]]
-    to_left = across @ np.asarray(frame["vehicle_from_camera"], dtype=np.float64)[1, :3]
-    return bool((to_left < 0).any() and not (to_left > 0).any())
+def _wheel(frame: Mapping[str, Any], spec: FrameSpec, joints: NDArray[np.float64]) -> int:
+    """1 for a wheel on the left, -1 on the right, 0 where there is none or nothing says it. joints: (P, J, 3) m.
+
+    A frame that does not say it has its front row at hand: the driver sits behind the wheel. Where benches face each other, and
+    left hips lie to the right in the vehicle, there is none.
+    """
+    said = {"left": 1, "right": -1}.get(str(frame.get("drive_side", "")), 0)
+    front = {"driver": 1, "front_passenger": -1}
+    if said or spec.skeleton != CABINPOSE.name or "vehicle_from_camera" not in frame:
+        return said
+    vehicle_from_camera = np.asarray(frame["vehicle_from_camera"], dtype=np.float64)
+    left, right = (CABINPOSE.index[name] for name in ("lpelvis", "rpelvis"))
+    hips = joints[:, [left, right]] @ vehicle_from_camera[1, :3] + vehicle_from_camera[1, 3]  # (P, 2) m to the left
+    sides = [
+        front[slot] * np.sign(hips[i].mean())
+        for i, slot in enumerate(spec.slots)
+        if slot in front and hips[i, 0] > hips[i, 1]  # False where nobody is
+    ]
+    return int(np.sign(sum(sides)))
+
+
+def mirrored_labels() -> NDArray[np.uint8]:
+    """(256,) the class of the mirrored pixel by the class of the pixel (`scene.labels`): left and right parts change."""
+    table = np.arange(256, dtype=np.uint8)
+    for name, number in LABEL_ID.items():
+        if name.endswith("_left"):
+            partner = LABEL_ID[name.removesuffix("left") + "right"]
+            table[number], table[partner] = partner, number
+    return table
+
+
+def _mirror_image(kept: Kept, spec: FrameSpec) -> Kept:
+    """The mirror image of a frame; the driver stays at the wheel."""
+    slots = mirrored_slots(spec.slots, at_wheel=True)
+    joints = list(SKELETONS[spec.skeleton].subset(spec.joints).mirror)
+    places = kept.joints[slots][:, joints]
+    places[..., 0] = spec.view.width - 1 - places[..., 0]
+    images = {name: getattr(kept, name)[..., ::-1] for name in ("depth", "amplitude", "rgb")}
+    return kept._replace(
+        **images,
+        joints=places,
+        visibility=kept.visibility[slots][:, joints],
+        present=kept.present[slots],
+        labels=mirrored_labels()[kept.labels[..., ::-1]],
+    )
 
 
 def _in_view(uvz: NDArray[np.float64], view: InputView) -> NDArray[np.uint8]:
@@ -249,6 +292,6 @@ def collate(frames: Sequence[Kept]) -> Batch:
         torch.from_numpy(stacked.present),
         torch.from_numpy(stacked.amplitude.astype(np.float32)) if stacked.amplitude.size else None,
         torch.from_numpy(stacked.labels) if stacked.labels.size else None,
-        torch.from_numpy(stacked.facing),
+        torch.from_numpy(stacked.wheel),
         torch.from_numpy(stacked.rgb.astype(np.float32)) if stacked.rgb.size else None,
     )

@@ -174,5 +174,5 @@ class Kept(NamedTuple):
     present: NDArray[np.bool_]
     amplitude: NDArray[np.uint16]
     labels: NDArray[np.uint8]
-    facing: NDArray[np.bool_] = np.array(False)
+    wheel: NDArray[np.int8] = np.array(0, np.int8)
     rgb: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)

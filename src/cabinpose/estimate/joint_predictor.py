@@ -27,7 +27,7 @@ from cabinpose.core import (
 )
 from cabinpose.estimate.alternatives import ALTERNATIVES, Alternatives
 from cabinpose.estimate.expected_error import expected_errors, usual_errors
-from cabinpose.estimate.found import Found, mirrored
+from cabinpose.estimate.found import RIGHT_BELOW, Found, front_exchanged, mirrored
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, image_in, slices, view_inputs
 from cabinpose.estimate.settings import PlacedSettings
 from cabinpose.estimate.sight import unseen
@@ -71,8 +71,9 @@ class JointPredictor:
 
     @property
     def seats_by_place(self) -> bool:
-        """Whether seats are told by where people are in the image, so that the model has to be told where the wheel is."""
-        return isinstance(self.config, PlacedSettings)
+        """Whether seats are told by where people are in the image, so that it helps to say where the wheel is."""
+        sees_wheel = "wheel" in self.model.answers and {"driver", "front_passenger"} <= set(self.persons)
+        return isinstance(self.config, PlacedSettings) or sees_wheel
 
     @property
     def images(self) -> tuple[str, ...]:
@@ -85,7 +86,7 @@ class JointPredictor:
         for which in slices(len(image_in(frames))):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
-            poses = self.poses(self._found(seen, self._turned(frames, which, len(cameras))), cameras)
+            poses = self.poses(self._found(seen, self._told(frames, which, len(cameras))), cameras)
             batches.append(self.believed(poses, frames, which, seen, cameras))
         return joined(batches)
 
@@ -150,7 +151,7 @@ class JointPredictor:
     def _changed(self, frames: FrameBatch, index: int, camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
         """Presence and expected errors (A, P, J) of one frame's alternatives; presence 0 where nobody can be seen."""
         view, images = self.config.view, {"depth", *self.config.inputs}
-        side = self._turned(frames, slice(index, index + 1), 1)
+        side = self._told(frames, slice(index, index + 1), 1)
         presences, errors = [], []
         for change in ALTERNATIVES:  # one by one: the features of all in a batch would stay in the runtime's memory
             turned = camera.turned(change.quarters)
@@ -167,32 +168,35 @@ class JointPredictor:
             self._warned.add(of)
             warnings.warn(words, stacklevel=4)
 
-    def _turned(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.bool_]:
-        """(N,) whether the wheel is on the other side than in the cars that the model has learnt from."""
+    def _told(self, frames: FrameBatch, which: slice, count: int) -> NDArray[np.str_]:
+        """(N,) where the wheel is, as it is told: left, right, empty where nothing says it."""
         if not self.seats_by_place:
-            return np.zeros(count, np.bool_)
+            return np.full(count, "")
         said = self.drive_side or self.model.drive_side or "drive_side" in frames
-        if not said and {"driver", "front_passenger"} & set(self.persons):
+        if not said and isinstance(self.config, PlacedSettings) and {"driver", "front_passenger"} & set(self.persons):
             self._warn_once(
                 "the wheel",
                 f"nothing says where the wheel is: {self.name} tells seats by place and takes it to be on the"
                 f" {self.config.drive_side}. Say it with --drive-side left or right, or in a dataset (`drive_side`)",
             )
         told = np.full(count, self.drive_side) if self.drive_side or "drive_side" not in frames else frames["drive_side"][which]
-        known = np.where(told == "", self.model.drive_side, told)
-        return np.asarray((known != "") & (known != self.config.drive_side))
+        return np.where(told == "", self.model.drive_side, told)
 
-    def _found(self, seen: dict[str, NDArray[np.float32]], turned: NDArray[np.bool_]) -> Found:
-        """The model's answers; from the mirror image where the wheel is on the other side, and so where it was learnt."""
+    def _found(self, seen: dict[str, NDArray[np.float32]], told: NDArray[np.str_]) -> Found:
+        """The model's answers, with the driver at the wheel, of which `_told` says where it is.
+
+        A model that sees the wheel answers by place, so that the front row is exchanged where it is on the right. Others see the
+        mirror image where it is on the other side, and so where they have learnt it.
+        """
+        if not isinstance(self.config, PlacedSettings):
+            found: Found = self.model.run(seen)
+            return _at_the_wheel(found, told, self.persons)
+        turned = (told != "") & (told != self.config.drive_side)
         if not turned.any():
             answer: Found = self.model.run(seen)
             return answer
-
-        def chosen(plain: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
-            return np.where(turned.reshape(-1, *[1] * (plain.ndim - 1)), other, plain)
-
-        found: Found = self.model.run({name: chosen(images, images[..., ::-1]) for name, images in seen.items()})
-        return found.map(chosen, mirrored(found, self.config))
+        other: Found = self.model.run({name: _chosen(turned, images, images[..., ::-1]) for name, images in seen.items()})
+        return other.map(partial(_chosen, turned), mirrored(other, self.config))
 
     def __call__(
         self,
@@ -307,3 +311,19 @@ class JointPredictor:
             remarks[doubt] = None
         floats = (a.astype(np.float32) for a in arrays)
         return PoseBatch(*floats, expected_error_m=expected.astype(np.float32), remarks=tuple(remarks))
+
+
+def _chosen(which: NDArray[np.bool_], plain: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
+    """Arrays (N, ...) of `other` where `which` (N,) says so."""
+    return np.where(which.reshape(-1, *[1] * (plain.ndim - 1)), other, plain)
+
+
+def _at_the_wheel(found: Found, told: NDArray[np.str_], slots: Sequence[str]) -> Found:
+    """What a model found by place, with the driver at the wheel: where it is not told, on the side where the model sees it."""
+    if found.wheel is None:
+        return found
+    exchanged = np.where(told == "", found.wheel < RIGHT_BELOW, told == "right")
+    if not exchanged.any():
+        return found
+    order = front_exchanged(slots)
+    return found.map(lambda values: _chosen(exchanged, values, values[:, order]))

@@ -51,6 +51,7 @@ class TrainedModel(ABC):
     """What the file of a trained model says of itself: its method with settings, and the names of what it answers."""
 
     kind: type[Method[Any]]  # of methods whose models are such files
+    answers: tuple[str, ...] = ()  # names of what its network answers
     _again: str  # how another file of this kind is made
 
     def __init__(self, path: Path, text: str | bytes) -> None:
@@ -129,7 +130,7 @@ class OnnxModel(TrainedModel):
             raise ModelError(f"{path} is an ONNX file of another program", hint="export models with `cabinpose export`")
         super().__init__(path, properties[METADATA_KEY])
         self._told = bool(nan)
-        self._outputs = [output.name for output in self.session.get_outputs()]
+        self.answers = tuple(output.name for output in self.session.get_outputs())
 
     def run(self, seen: Mapping[str, NDArray[Any]]) -> Any:
         """What the method decodes from a batch of inputs by name; arrays that the network does not take go to decoding."""
@@ -141,13 +142,13 @@ class OnnxModel(TrainedModel):
         empty = not any(len(array) for array in inputs.values())
         if empty:  # no network takes an empty batch
             inputs = {name: np.zeros((1, *array.shape[1:]), array.dtype) for name, array in inputs.items()}
-        values = run_onnx(self.session, self.path, self._outputs, inputs)
+        values = run_onnx(self.session, self.path, self.answers, inputs)
         if empty:
             values = [value[:0] for value in values]
         elif not self._told and any(value.dtype.kind == "f" and np.isnan(value).all() for value in values):
             self._told = True
             warnings.warn(f"{self.path} answers with values that are not numbers (NaN)", stacklevel=2)
-        return dict(zip(self._outputs, values, strict=True))
+        return dict(zip(self.answers, values, strict=True))
 
 
 def _checked_ranges(trained_on: Mapping[Any, Any]) -> dict[str, str]:

@@ -25,10 +25,10 @@ from torch.utils.data import DataLoader
 
 from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, make_folder, output_errors, write_whole
 from cabinpose.estimate.array_model import SUFFIX, write_arrays
-from cabinpose.estimate.augment import Mirror, mirrored_labels
+from cabinpose.estimate.augment import Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.curves import Curves
-from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, epoch_order, trained_on
+from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, epoch_order, mirrored_labels, trained_on
 from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.guards import alone, interruptible, quiet, too_little_memory
 from cabinpose.estimate.inputs import Kept
@@ -43,6 +43,7 @@ from cabinpose.store import merged_ranges
 
 _MEASURED = 500  # training frames that open settings are measured on
 _SEEDS = 0x7FFFFFFFFFFFFFFF
+_NETWORK = "network."  # how the names of the network's tensors begin in a checkpoint
 
 
 def _network_method(name: str) -> NetworkMethod[Any]:
@@ -68,7 +69,7 @@ class Detector(lightning.LightningModule):
         self.network: nn.Module = self.method.network(self.method_config)
         slots = self.method_config.slots
         joints = self.method_config.joint_set.mirror
-        self._mirrors = joints, mirrored_slots(slots), mirrored_slots(slots, facing=True)
+        self._mirrors = joints, mirrored_slots(slots)
         self.register_buffer("rays", ray_tensor(self.method_config.view), persistent=False)
         self.register_buffer("mirror_labels", torch.from_numpy(mirrored_labels()), persistent=False)
         self._errors: list[np.ndarray] = []
@@ -397,8 +398,10 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
     if source.suffix == ".onnx":
         theirs, state, folded, learnt = read_weights(source)
     else:
-        other = load_detector(source)
-        theirs, state, learnt = other.method_config, other.network.state_dict(), other.trained_on
+        data = read_checkpoint(source)
+        config = _configuration(source, data)
+        theirs, learnt = METHODS[config.method].settings(config.settings), data[TRAINED_ON]
+        state = {name.removeprefix(_NETWORK): value for name, value in data["state"].items() if name.startswith(_NETWORK)}
     mine = detector.method_config
     fits = type(mine) is type(theirs) and mine.joints == theirs.joints
     try:

@@ -19,6 +19,7 @@ _WEIGHTS = {
     "inside": 0.2,
     "visible": 0.2,
     "present": 0.5,
+    "wheel": 0.2,
 }
 _OUTSIDE = 0.2  # weight of a joint outside the image: it is guessed from the rest of the body
 
@@ -28,8 +29,8 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
 
     image: smooth L1 of u, v in cells · depth: smooth L1 of z in decimetres · earlier_image, earlier_depth: the
     same of the joints before each look · votes: cross entropy of the weights with a
-    Gaussian around the joint · inside, visible, present: binary cross entropies. Only people who are there count for
-    their joints.
+    Gaussian around the joint · inside, visible, present, wheel: binary cross entropies; where there is no wheel, or nothing says
+    where, as likely as not. Only people who are there count for their joints.
     """
     votes: Votes = network(*batch.images(network.config.inputs))
     truth = batch.joints
@@ -57,9 +58,15 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
         "inside": _binary(votes.inside, batch.visibility > 1, batch.present.unsqueeze(-1).expand_as(inside)),
         "visible": _binary(votes.visible, batch.visibility == 4, batch.present.unsqueeze(-1).expand_as(inside)),
         "present": functional.binary_cross_entropy_with_logits(votes.present, batch.present.float()),
+        "wheel": functional.binary_cross_entropy_with_logits(votes.wheel, _left(batch.wheel, votes.wheel)),
     }
     terms["loss"] = sum((_WEIGHTS[name] * term for name, term in terms.items()), start=total.new_zeros(()))
     return terms
+
+
+def _left(wheel: Tensor | None, like: Tensor) -> Tensor:
+    """(N,) how likely the wheel is on the left."""
+    return torch.full_like(like, 0.5) if wheel is None else 0.5 * (1 + wheel.to(like.dtype))
 
 
 def _cross_entropy(log_weights: Tensor, uv: Tensor, inside: Tensor, cells: Tensor) -> Tensor:

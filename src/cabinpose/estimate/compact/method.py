@@ -25,10 +25,10 @@ class CompactMethod(NetworkMethod[CompactConfig]):
     name = "compact"
     task = "joints"
     settings_type = CompactConfig
-    outputs = ("joints", "inside", "visible", "present", "spreads")
+    outputs = ("joints", "inside", "visible", "present", "wheel", "spreads")
     room: ClassVar[Mapping[str, Any]] = MappingProxyType({"looks_px": []})
     reads_onnx = True
-    precise = ("votes", "looks", "present")
+    precise = ("votes", "looks", "present", "wheel")
 
     def network(self, settings: CompactConfig) -> Compact:
         from cabinpose.estimate.compact.model import Compact  # noqa: PLC0415 - torch
@@ -48,15 +48,17 @@ class CompactMethod(NetworkMethod[CompactConfig]):
     def decode(self, outputs: Arrays, settings: CompactConfig, seen: Arrays) -> Found:  # noqa: ARG002 - depths are learnt
         """joints (N, S, J, 3) (u, v, z) of the view, inside and visible (N, S, J) and present (N, S) logits, as joints.
 
-        A joint is present with the probability that its person is there and the joint in the image. spreads (N, S, J, C), m,
-        are lacking in models that older versions exported.
+        A joint is present with the probability that its person is there and the joint in the image. spreads (N, S, J, C), m, and
+        wheel (N,), a logit, are lacking in models that older versions exported; those tell by themselves who drives.
         """
         count = outputs["inside"].shape[-1]
         sure = sigmoid(np.concatenate((outputs["present"][..., None], outputs["inside"], outputs["visible"]), axis=-1))
         presence = sure[..., :1] * sure[..., 1 : 1 + count]
         uvz = np.asarray(outputs["joints"], dtype=np.float64)
         spreads = outputs.get("spreads")
-        return Found(uvz[..., :2], settings.view.from_view(uvz), presence * sure[..., 1 + count :], presence, spreads)
+        return Found(
+            uvz[..., :2], settings.view.from_view(uvz), presence * sure[..., 1 + count :], presence, spreads, outputs.get("wheel")
+        )
 
 
 METHOD = CompactMethod()

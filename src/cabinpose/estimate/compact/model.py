@@ -23,7 +23,6 @@ from cabinpose.estimate.found import mirrored_slots
 STRIDE = 8
 _CHANNELS = {("depth",): 4, ("depth", "amplitude"): 5, ("amplitude",): 2, ("rgb",): 3}  # by the images that are read
 _VALUES = 6  # of a vote: weight, offset in u and v, depth, inside, visible
-_CLEARLY = 0.02  # by how much more another order of the front places has to fit: where nobody sits rounding would decide
 _CLOUD_M = 1.5  # half width of the cloud that is mapped to [-1, 1]
 
 
@@ -31,15 +30,18 @@ class Votes(NamedTuple):
     """The network's answers for N frames, S places and J joints.
 
     joints: (N, S, J, 3) u, v (px of the view) and depth (m) · inside, visible: (N, S, J) logits of the joint being in the
-    image, and seen there · present: (N, S) logit of somebody being there · spreads: (N, S, J, C) m, standard deviation of the
-    votes about their mean, and of a `Mirrored` network how far apart its two answers are · weights: (N, S, J, cells)
-    log-probability of each cell, and earlier: the joints (N, S, J, 3) before each look that refined them, both for training.
+    image, and seen there · present: (N, S) logit of somebody being there · wheel: (N,) logit of the wheel being on
+    the left; whose place is whose does not depend on it: driver is the left place of the front row · spreads: (N, S, J, C) m,
+    standard deviation of the votes about their mean, and of a `Mirrored` network how far apart its two answers are · weights:
+    (N, S, J, cells) log-probability of each cell, and earlier: the joints (N, S, J, 3) before each look that refined them, both
+    for training.
     """
 
     joints: Tensor
     inside: Tensor
     visible: Tensor
     present: Tensor
+    wheel: Tensor
     spreads: Tensor
     weights: Tensor
     earlier: tuple[Tensor, ...]
@@ -121,6 +123,7 @@ class Compact(Backbone):
             Refine(size, len(config.slots), len(config.joints), c4, c8, pitch) for pitch in config.looks_px
         )
         self.present = nn.Sequential(nn.Linear(2 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, len(config.slots)))
+        self.wheel = nn.Sequential(nn.Linear(4 * c16, c8), nn.ReLU(inplace=True), nn.Linear(c8, 1))
         rows, columns = torch.meshgrid(
             torch.arange(config.height // STRIDE), torch.arange(config.width // STRIDE), indexing="ij"
         )  # pixel centre of each cell
@@ -145,14 +148,24 @@ class Compact(Backbone):
             apart = torch.stack((cell_u - u[..., None], cell_v - v[..., None], cell_z - z[..., None]), dim=-1)
             spread = (p * squared_m(apart, z[..., None], self.config.view.focal)).sum(-1).sqrt()
         inside, visible = (p.unsqueeze(3) * votes[:, :, :, 4:]).sum(-1).unbind(-1)
-        pooled = torch.cat((deep.mean((2, 3)), deep.amax((2, 3))), dim=1)
+        half = (deep.shape[-1] + 1) // 2
+        sides = torch.cat((_pooled(deep[..., :half]), _pooled(deep[..., -half:])), dim=1)
         joints, earlier = torch.stack((u, v, z), dim=-1), []
         for look in self.looks:  # detached: each learns to correct its input, and does not change what came before
             earlier.append(joints)
             start = joints.detach()
             more = look(depth.unsqueeze(1), fine, features, start, inside.detach(), visible.detach())
             joints, inside, visible = start + more.joints, inside + more.inside, visible + more.visible
-        return Votes(joints, inside, visible, self.present(pooled), spread[..., None], weights, tuple(earlier))
+        return Votes(
+            joints,
+            inside,
+            visible,
+            self.present(_pooled(deep)),
+            self.wheel(sides)[:, 0],
+            spread[..., None],
+            weights,
+            tuple(earlier),
+        )
 
 
 def squared_m(apart: Tensor, depth: Tensor, focal: float) -> Tensor:
@@ -203,6 +216,11 @@ def unit(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs))
 
 
+def _pooled(x: Tensor) -> Tensor:
+    """Means and greatest values (N, 2 C) of features (N, C, h, w)."""
+    return torch.cat((x.mean((2, 3)), x.amax((2, 3))), dim=1)
+
+
 def _stage(inputs: int, outputs: int, count: int) -> list[nn.Module]:
     """Blocks that halve the image at their first."""
     return [Block(inputs, outputs, 2), *(Block(outputs, outputs) for _ in range(count - 1))]
@@ -212,8 +230,7 @@ class Mirrored(nn.Module):
     """A trained network that answers with the mean of what it says of a frame and of its mirror image.
 
     The errors of the two differ, so that their mean is smaller, at twice the time, and how much they differ says how large they
-    are. weights and earlier are those of the frame alone. Whether the places of the front row change sides, as on benches that
-    face each other, is told by which of the two brings the mirror image's answer nearer to the frame's.
+    are. weights and earlier are those of the frame alone.
     """
 
     def __init__(self, network: Compact) -> None:
@@ -221,26 +238,17 @@ class Mirrored(nn.Module):
         self._network = network
         self._joints = list(network.config.joint_set.mirror)
         self._slots = mirrored_slots(network.config.slots)
-        self._facing_slots = mirrored_slots(network.config.slots, facing=True)
 
     def forward(self, *images: Tensor) -> Votes:
         """Votes as the network's own."""
         one = self._network(*images)
         other = self._network(*(image.flip(-1) for image in images))
         width = self._network.config.width
-        turned = self._turned(one, other) if self._slots != self._facing_slots else None
-
-        def placed(theirs: Tensor) -> Tensor:
-            plain = theirs[:, self._slots]
-            if turned is None:
-                return plain
-            return torch.where(turned.reshape(-1, *[1] * (theirs.ndim - 1)), theirs[:, self._facing_slots], plain)
-
-        uvz = placed(other.joints)[:, :, self._joints]
+        uvz = other.joints[:, self._slots][:, :, self._joints]
         uvz = torch.cat((width - 1 - uvz[..., :1], uvz[..., 1:]), dim=-1)
 
         def mean(mine: Tensor, theirs: Tensor) -> Tensor:
-            return 0.5 * (mine + placed(theirs)[:, :, self._joints])
+            return 0.5 * (mine + theirs[:, self._slots][:, :, self._joints])
 
         joints = 0.5 * (one.joints + uvz)
         apart = squared_m(one.joints - uvz, joints[..., 2], self._network.config.view.focal).sqrt()
@@ -248,24 +256,9 @@ class Mirrored(nn.Module):
             joints,
             mean(one.inside, other.inside),
             mean(one.visible, other.visible),
-            0.5 * (one.present + placed(other.present)),
+            0.5 * (one.present + other.present[:, self._slots]),
+            0.5 * (one.wheel - other.wheel),
             torch.cat((mean(one.spreads, other.spreads), apart[..., None]), dim=-1),
             one.weights,
             one.earlier,
         )
-
-    def _turned(self, one: Votes, other: Votes) -> Tensor:
-        """(N,) bool: whether the front places of the mirror image's answer change sides.
-
-        They do where that brings the people who are found nearer, in px of u, or agrees better about who is there. A frame and
-        its mirror image get the same answer.
-        """
-        here, there = one.present.sigmoid(), other.present.sigmoid()
-        u, width = one.joints[..., 0].mean(-1), self._network.config.width
-        mirrored_u = width - 1 - other.joints[..., 0].mean(-1)
-
-        def apart(slots: list[int]) -> Tensor:
-            theirs = there[:, slots]
-            return (here * theirs * (u - mirrored_u[:, slots]).abs() / width + (here - theirs).abs()).sum(-1)
-
-        return apart(self._facing_slots) < apart(self._slots) - _CLEARLY

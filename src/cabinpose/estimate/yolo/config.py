@@ -7,11 +7,12 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from cabinpose.estimate.compact.config import BackboneConfig
+from cabinpose.estimate.settings import PlacedSettings
 
 OFFSET_M = 0.1  # unit of the depth behind the surface
 
 
-class YoloConfig(BackboneConfig):
+class YoloConfig(BackboneConfig, PlacedSettings):
     """The grid regression: its backbone, its grid, its boxes, and the weights of its loss."""
 
     cell_px: Annotated[Literal[4, 8], Field(description="Side of a cell of the grid (px of the view).")] = 4
