@@ -18,12 +18,12 @@ from cabinpose.estimate.augment import (
     augment,
     draw_motion,
     flip,
-    mirrored_labels,
-    mirrored_slots,
     move,
     occlude,
 )
 from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.data import mirrored_labels
+from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import InputView
 from cabinpose.estimate.training import TrainConfig
 from cabinpose.scene.labels import LABEL_ID
@@ -32,7 +32,7 @@ VIEW = InputView(64, 48, 51.2)
 RAYS = torch.tensor(VIEW.camera.rays.transpose(2, 0, 1), dtype=torch.float32)
 WALL_M, PLATE_M = 2.0, 1.2
 SLOTS = ("driver", "rear_left", "rear_center", "rear_right")
-MIRROR = Mirror(CABINPOSE.mirror, mirrored_slots(SLOTS), mirrored_slots(SLOTS, facing=True), torch.from_numpy(mirrored_labels()))
+MIRROR = Mirror(CABINPOSE.mirror, mirrored_slots(SLOTS), torch.from_numpy(mirrored_labels()))
 NOTHING = AugmentConfig(shift=0, flip=0, noise_m=0, lost=0, gain=1, occluder=0)
 
 
@@ -69,7 +69,7 @@ def random_batch(seed: int = 0, frames: int = 3) -> Batch:
         torch.tensor(rng.random(shape[:2]) < 0.7),
         torch.tensor(rng.uniform(0, 400, depth.shape), dtype=torch.float32),
         torch.tensor(rng.integers(0, 34, depth.shape), dtype=torch.uint8),
-        torch.zeros(frames, dtype=torch.bool),
+        torch.tensor(rng.integers(-1, 2, frames), dtype=torch.int8),
         torch.tensor(rng.uniform(0, 255, (frames, 3, *depth.shape[1:])), dtype=torch.float32),
     )
 
@@ -214,16 +214,15 @@ def test_flip_twice_is_identity_and_once_swaps_sides() -> None:
     assert torch.equal(once.labels.flip(-1) == LABEL_ID["hand_right"], hand)
 
 
-def test_front_places_change_sides_on_a_bench_that_looks_backwards() -> None:
+def test_both_rows_change_sides_and_so_does_the_wheel() -> None:
     slots = ("driver", "front_passenger", "rear_left", "rear_right")  # as many as SLOTS
-    mirror = MIRROR._replace(slots=mirrored_slots(slots), facing_slots=mirrored_slots(slots, facing=True))
-    b = random_batch()._replace(facing=torch.tensor([False, True, False]))
-    once = flip(b, torch.ones(3, dtype=torch.bool), mirror, 64)
-    assert torch.equal(once.present[1], b.present[1, [1, 0, 3, 2]])
-    assert torch.equal(once.present[[0, 2]], b.present[[0, 2]][:, [0, 1, 3, 2]])
+    b = random_batch()._replace(wheel=torch.tensor([1, -1, 0], dtype=torch.int8))
+    once = flip(b, torch.tensor([True, True, False]), MIRROR._replace(slots=mirrored_slots(slots)), 64)
+    assert torch.equal(once.present[:2], b.present[:2][:, [1, 0, 3, 2]])
+    assert torch.equal(once.present[2], b.present[2])
     neck = JOINTS.index("neck")
-    torch.testing.assert_close(once.joints[1, 0, neck, 0], 63 - b.joints[1, 1, neck, 0])
-    torch.testing.assert_close(once.joints[0, 0, neck, 0], 63 - b.joints[0, 0, neck, 0])
+    torch.testing.assert_close(once.joints[:2, 0, neck, 0], 63 - b.joints[:2, 1, neck, 0])
+    assert once.wheel.tolist() == [-1, 1, 0]
 
 
 def test_only_chosen_frames_flip() -> None:

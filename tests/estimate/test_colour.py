@@ -15,10 +15,11 @@ import xarray as xr
 from cabinpose.app.cli import main
 from cabinpose.app.training import generated_frames
 from cabinpose.core import ConfigError, DatasetError, FrameBatch
-from cabinpose.estimate.augment import AugmentConfig, Mirror, augment, mirrored_labels, mirrored_slots
+from cabinpose.estimate.augment import AugmentConfig, Mirror, augment
 from cabinpose.estimate.batch import Batch, ray_tensor
-from cabinpose.estimate.data import StoredFrames, collate
+from cabinpose.estimate.data import StoredFrames, collate, mirrored_labels
 from cabinpose.estimate.export import export_onnx
+from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.methods import METHODS
 from cabinpose.estimate.predictor import describe_model, load_model
@@ -76,7 +77,7 @@ def test_colour_is_moved_mirrored_and_hidden_as_amplitude_is() -> None:
     batch = batch._replace(rgb=torch.stack([batch.amplitude.clamp(max=255)] * 3, 1), amplitude=batch.amplitude.clamp(max=255))
     slots = list(small.PERSONS)
     mirror = Mirror(
-        METHODS["compact"].settings({}).joint_set.mirror, mirrored_slots(slots), mirrored_slots(slots, facing=True),
+        METHODS["compact"].settings({}).joint_set.mirror, mirrored_slots(slots),
         torch.from_numpy(mirrored_labels()),
     )  # fmt: skip
     generator = torch.Generator().manual_seed(3)

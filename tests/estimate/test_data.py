@@ -11,7 +11,10 @@ import torch
 
 from cabinpose.core.errors import DatasetError
 from cabinpose.core.skeleton import CABINPOSE, JOINTS
-from cabinpose.estimate.data import FrameSpec, GeneratedFrames, StoredFrames, collate, view_frame
+from cabinpose.estimate.augment import Mirror, flip
+from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.data import FrameSpec, GeneratedFrames, StoredFrames, collate, mirrored_labels, view_frame
+from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import InputView
 
 VIEW = InputView(64, 48, 51.2)  # the camera of the sphere people
@@ -52,18 +55,49 @@ def test_a_joint_beyond_the_view_is_outside() -> None:
     assert np.array_equal(kept.visibility[inside], made["visibility"][inside])
 
 
-def test_a_front_row_that_looks_backwards_is_known_by_its_hips() -> None:
+def wheel_of(made: dict[str, Any]) -> int:
+    """What a frame knows of its wheel: 1, or 0 for none; mirrored frames have it on the left."""
+    return int(view_frame(made, SPEC, [0, 1, 2]).wheel)
+
+
+def test_where_the_wheel_is_is_said_or_seen_by_who_sits_where() -> None:
     made = small.frame(2)
     joints = np.full_like(made["joints_3d"], np.nan)
     left, right = JOINTS.index("lpelvis"), JOINTS.index("rpelvis")
-    joints[1, left], joints[1, right] = (0.1, 0.2, 1.0), (-0.1, 0.2, 1.0)  # the passenger looks into the camera
-    looks_back, looks_ahead = np.eye(4), np.eye(4)
-    looks_back[1, :3], looks_ahead[1, :3] = (1, 0, 0), (-1, 0, 0)  # the camera: its right is the car's left, or right
+    joints[1, left], joints[1, right] = (0.6, 0.2, 1.0), (0.4, 0.2, 1.0)  # the passenger, who looks into the camera
     made["joints_3d"] = joints
-    assert not view_frame(made | {"vehicle_from_camera": looks_back}, SPEC, [0, 1, 2]).facing
-    ahead = made | {"vehicle_from_camera": looks_ahead}
-    assert collate([view_frame(ahead, SPEC, [0, 1, 2])] * 2).facing.tolist() == [True, True]
-    assert not view_frame(ahead, SPEC._replace(slots=("driver", "rear_left")), [0, 2]).facing
+    looks_back = np.eye(4)
+    looks_back[1, :3] = (1, 0, 0)  # the camera's right is the car's left: there the passenger sits, and the wheel is on the right
+    plain = view_frame(made, SPEC, [0, 1, 2])
+    assert plain.wheel == 0
+    turned = view_frame(made | {"vehicle_from_camera": looks_back}, SPEC, [0, 1, 2])
+    assert turned.wheel == 1
+    np.testing.assert_array_equal(turned.depth, plain.depth[:, ::-1])
+    np.testing.assert_allclose(turned.joints[1, left, 0], SPEC.view.width - 1 - plain.joints[1, right, 0])
+    np.testing.assert_allclose(turned.joints[1, left, 1:], plain.joints[1, right, 1:])
+    beside = np.eye(4)
+    beside[1] = (1, 0, 0, -1.0)  # a camera 1 m to the right of the middle of the car
+    assert wheel_of(made | {"vehicle_from_camera": beside}) == 1
+    np.testing.assert_array_equal(view_frame(made | {"vehicle_from_camera": beside}, SPEC, [0, 1, 2]).depth, plain.depth)
+    faced = made | {"vehicle_from_camera": np.diag([-1.0, 1, 1, 1])[[1, 0, 2, 3]]}  # left hips to the car's right: no wheel
+    assert wheel_of(faced) == 0
+    assert wheel_of(faced | {"drive_side": "left"}) == 1
+    np.testing.assert_array_equal(view_frame(made | {"drive_side": "right"}, SPEC, [0, 1, 2]).depth, turned.depth)
+
+
+def test_a_frame_with_the_wheel_on_the_right_is_the_mirror_image_of_one_on_the_left() -> None:
+    """Augmentation's own mirror image, but for the front row, who stay where their wheel is."""
+    made = small.frame(1)
+    slots = ("driver", "front_passenger", "rear_left")
+    plain, turned = (collate([view_frame(made | {"drive_side": side}, SPEC, [0, 1, 2])]) for side in ("left", "right"))
+    order = mirrored_slots(slots, at_wheel=True)
+    mirror = Mirror(CABINPOSE.mirror, order, torch.from_numpy(mirrored_labels()))
+    flipped = flip(plain, torch.ones(1, dtype=torch.bool), mirror, SPEC.view.width)
+    for name, mine, theirs in zip(Batch._fields, flipped, turned, strict=True):
+        if name == "wheel":
+            assert (mine.tolist(), theirs.tolist()) == ([-1], [1])
+        elif mine is not None:
+            torch.testing.assert_close(mine, theirs, msg=name, equal_nan=True)
 
 
 def test_somebody_is_there_who_is_named_and_seen() -> None:

@@ -15,6 +15,7 @@ from test_paf import CONFIG, J, drawn, person
 
 from cabinpose.app.cli import main
 from cabinpose.core import CABINPOSE, FrameBatch
+from cabinpose.estimate.compact.config import CompactConfig
 from cabinpose.estimate.found import Found, mirrored
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.paf.decode import decode
@@ -97,6 +98,44 @@ def test_a_side_that_nothing_says_is_told_once() -> None:
         driver_depth(of_file, left)
 
 
+class Seeing(Drawing):
+    """A trained compact, which answers by place whatever the frames are, the nearer at the left, and where the wheel seems."""
+
+    config, answers = CompactConfig(width=96, height=96, focal=100.0, slots=("driver", "front_passenger")), ("joints", "wheel")
+    persons, joints = config.slots, config.joints
+
+    def __init__(self, wheel: list[float] | None) -> None:
+        self.wheel = wheel
+
+    def run(self, seen: dict[str, np.ndarray]) -> Found:
+        shape = len(seen["depth"]), 2, len(self.joints)
+        uvz = np.zeros((*shape, 3)) + np.array([DRIVER_M, PASSENGER_M]).reshape(1, 2, 1, 1)
+        some = np.ones(shape)
+        return Found(uvz[..., :2], uvz, some, some, None, None if self.wheel is None else np.array(self.wheel))
+
+
+@pytest.mark.parametrize(
+    ("wheel", "said", "nearer"),
+    [
+        ([2.0, -2.0, -0.5], None, [True, False, True]),  # as it is seen; where there seems to be none, as they were learnt
+        ([2.0, -2.0, -0.5], ["right", "left", ""], [False, True, True]),  # who says it knows
+        ([-2.0, -2.0, -2.0], ["", "left", "right"], [False, True, False]),
+        (None, ["right", "left", ""], [True, True, True]),  # an older model tells by itself who drives
+    ],
+)
+def test_a_model_that_sees_the_wheel_is_told_where_it_is(
+    wheel: list[float] | None, said: list[str] | None, nearer: list[bool]
+) -> None:
+    batch = FrameBatch(
+        depth=np.full((3, 96, 96), 1.0, np.float32), amplitude=np.full((3, 96, 96), 150, np.uint16), camera_k=np.array(
+            Seeing.config.view.camera.k), camera_dist=np.zeros(5), **({} if said is None else {"drive_side": np.array(said)}),
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = JointPredictor(Seeing(wheel)).predict(batch)  # type: ignore[arg-type]
+    assert (found.joints_3d[:, 0, 0, 2] < found.joints_3d[:, 1, 0, 2]).tolist() == nearer
+
+
 def test_frames_of_both_kinds_go_together() -> None:
     left, right = frames(120, 50), frames(50, 120)
     depth = np.concatenate([left["depth"], right["depth"], right["depth"]])
@@ -155,13 +194,14 @@ def test_the_commands_pass_on_what_they_are_told(
     assert main(["export", "onnx", str(checkpoints["paf"]), "--out", exported, "--drive-side", "right"]) == 0
     assert (describe_model(exported)["drive_side"], describe_model(plain)["drive_side"]) == ("right", "")
     turned: list[bool] = []
-    found = JointPredictor._found
+    told_of = JointPredictor._told
 
-    def spied(self: JointPredictor, seen: Any, mirror: np.ndarray) -> Found:
-        turned.extend(mirror.tolist())
-        return found(self, seen, mirror)
+    def spied(self: JointPredictor, *of: Any) -> np.ndarray:
+        told = told_of(self, *of)
+        turned.extend((told == "right").tolist())
+        return told
 
-    monkeypatch.setattr(JointPredictor, "_found", spied)
+    monkeypatch.setattr(JointPredictor, "_told", spied)
     told = ["--drive-side", "right"]
     for words, mirrors in (
         (["predict", data, "--model", plain, "--out", str(tmp_path / "1.jsonl")], False),
@@ -176,7 +216,7 @@ def test_the_commands_pass_on_what_they_are_told(
         assert turned == [mirrors] * 4, words
 
 
-def test_a_model_that_sees_the_wheel_is_not_told_where_it_is(
+def test_a_model_without_seats_is_not_told_where_the_wheel_is(
     trained: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     manifest = sphere_people.manifest(
@@ -184,8 +224,8 @@ def test_a_model_that_sees_the_wheel_is_not_told_where_it_is(
     )
     data = sphere_people.write(tmp_path / "spheres", manifest)
     out = tmp_path / "found.jsonl"
-    assert main(["predict", str(data), "--model", str(trained["compact"]), "--out", str(out), "--drive-side", "right"]) == 2
+    assert main(["predict", str(data), "--model", str(trained["unet"]), "--out", str(out), "--drive-side", "right"]) == 2
     error = capsys.readouterr().err
-    assert "says nothing to compact" in error
+    assert "says nothing to unet" in error
     assert "hint:" in error
     assert not out.exists()

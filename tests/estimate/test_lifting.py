@@ -13,9 +13,10 @@ from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError
 from cabinpose.core.ports import FrameBatch, PoseBatch, Predictor
 from cabinpose.core.skeleton import CABINPOSE
-from cabinpose.estimate.augment import AugmentConfig, Mirror, mirrored_labels, mirrored_slots
+from cabinpose.estimate.augment import AugmentConfig, Mirror
 from cabinpose.estimate.batch import Batch
-from cabinpose.estimate.data import StoredFrames, collate
+from cabinpose.estimate.data import StoredFrames, collate, mirrored_labels
+from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.lifter import LiftedPredictor
 from cabinpose.estimate.lifting import fit
 from cabinpose.estimate.lifting.config import ROOT, LiftingConfig
@@ -29,7 +30,6 @@ CONFIG = LiftingConfig(**small.TINY["lifting"])
 MIRROR = Mirror(
     CABINPOSE.subset(CABINPOSE.sets["upper body"]).mirror,
     mirrored_slots(small.PERSONS),
-    mirrored_slots(small.PERSONS, facing=True),
     torch.from_numpy(mirrored_labels()),
 )
 STILL = AugmentConfig(shift=0, flip=0)
@@ -87,7 +87,11 @@ def test_moved_people_keep_their_shape_and_their_projection(batch: Batch) -> Non
 def test_a_mirrored_person_is_mirrored_in_space(batch: Batch) -> None:
     before = people_of(batch, CONFIG.view)
     after = vary_people(batch, AugmentConfig(shift=0, flip=1), quiet(), MIRROR, generator=generator())
-    expected = before.joints[:, CABINPOSE.subset(CABINPOSE.sets["upper body"]).mirror] * torch.tensor([-1.0, 1.0, 1.0])
+    places = torch.zeros_like(batch.present, dtype=torch.long) + torch.tensor(mirrored_slots(small.PERSONS))
+    whose = torch.arange(len(before.joints)).new_zeros(batch.present.shape)
+    whose[batch.present] = torch.arange(len(before.joints))  # of each person who is there, the row
+    order = whose.gather(1, places)[batch.present.gather(1, places)]  # in the order of the places in the mirror image
+    expected = before.joints[order][:, CABINPOSE.subset(CABINPOSE.sets["upper body"]).mirror] * torch.tensor([-1.0, 1.0, 1.0])
     torch.testing.assert_close(after.joints, expected, atol=2e-5, rtol=1e-5)
 
 

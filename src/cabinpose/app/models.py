@@ -95,7 +95,7 @@ def tell_drive_side(models: Sequence[Model], side: DriveSide | None) -> None:
     if not placed:
         raise ConfigError(
             f"--drive-side says nothing to {', '.join(map(model_name, models))}",
-            hint="leave it out: paf, dpm and walks alone tell seats by place; a server is told by `serve --drive-side`",
+            hint="leave it out: they do not tell driver and passenger apart; a server is told by `serve --drive-side`",
         )
     for base in placed:
         base.drive_side = side

@@ -86,7 +86,7 @@ class JointPredictor:
         for which in slices(len(image_in(frames))):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
-            poses = self.poses(self._found(seen, self._told(frames, which, len(cameras))), cameras)
+            poses = self.poses(self.found(seen, frames, which), cameras)
             batches.append(self.believed(poses, frames, which, seen, cameras))
         return joined(batches)
 
@@ -151,12 +151,11 @@ class JointPredictor:
     def _changed(self, frames: FrameBatch, index: int, camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
         """Presence and expected errors (A, P, J) of one frame's alternatives; presence 0 where nobody can be seen."""
         view, images = self.config.view, {"depth", *self.config.inputs}
-        side = self._told(frames, slice(index, index + 1), 1)
         presences, errors = [], []
         for change in ALTERNATIVES:  # one by one: the features of all in a batch would stay in the runtime's memory
             turned = camera.turned(change.quarters)
             seen = view_inputs(change.undone(frames, index, images), slice(1), [turned], view, self.config.inputs)
-            found = self._found(seen, side)
+            found = self.found(seen, frames, slice(index, index + 1))
             ((why, _),) = unseen(seen, [view.filled(turned)])
             presences.append(np.zeros_like(found.presence) if why else found.presence)
             errors.append(expected_errors(self.model.expected_error, self.joints, found))
@@ -182,15 +181,15 @@ class JointPredictor:
         told = np.full(count, self.drive_side) if self.drive_side or "drive_side" not in frames else frames["drive_side"][which]
         return np.where(told == "", self.model.drive_side, told)
 
-    def _found(self, seen: dict[str, NDArray[np.float32]], told: NDArray[np.str_]) -> Found:
-        """The model's answers, with the driver at the wheel, of which `_told` says where it is.
+    def found(self, seen: dict[str, NDArray[np.float32]], frames: FrameBatch, which: slice) -> Found:
+        """The model's answers in its view to what it has `seen` of some frames, the driver at the wheel; a stage of `predict`.
 
         A model that sees the wheel answers by place, so that the front row is exchanged where it is on the right. Others see the
         mirror image where it is on the other side, and so where they have learnt it.
         """
+        told = self._told(frames, which, len(next(iter(seen.values()))))
         if not isinstance(self.config, PlacedSettings):
-            found: Found = self.model.run(seen)
-            return _at_the_wheel(found, told, self.persons)
+            return _at_the_wheel(self.model.run(seen), told, self.persons)
         turned = (told != "") & (told != self.config.drive_side)
         if not turned.any():
             answer: Found = self.model.run(seen)

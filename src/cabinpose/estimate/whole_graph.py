@@ -21,6 +21,7 @@ from onnx import compose
 from torch import Tensor, nn
 
 from cabinpose.core import Camera, ConfigError, FrameBatch, ModelError, make_folder, told_as, whole_file
+from cabinpose.estimate.found import RIGHT_BELOW, front_exchanged
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.onnx_model import WHOLE, OnnxModel, cameras_of, open_session
 from cabinpose.estimate.settings import DepthUnit, ViewSettings
@@ -60,19 +61,26 @@ class _Into(nn.Module):
 
 
 class _Back(nn.Module):
-    """What the network answers as joints of the camera: (u, v, z) of the view and logits as points, pixels and probabilities."""
+    """What the network answers as joints of the camera: (u, v, z) of the view and logits as points, pixels and probabilities.
+
+    The driver is at the wheel, which is where the model's file says, or else where the network sees it.
+    """
 
     def __init__(self, model: OnnxModel) -> None:
         super().__init__()
         self._view, count = model.config.view, len(model.joints)
+        self._drive_side, self._exchanged = model.drive_side, front_exchanged(model.persons)
         # Weights by which joints of one definition are told as another's: what they make of each joint alone.
         told = told_as(np.eye(count), model.joints, model.learnt, model.config.joint_set)
         self._told = torch.from_numpy(np.array(told, np.float64))
 
     def forward(
-        self, camera_k: Tensor, camera_dist: Tensor, joints: Tensor, inside: Tensor, visible: Tensor, present: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        self, camera_k: Tensor, camera_dist: Tensor, joints: Tensor, inside: Tensor, visible: Tensor, present: Tensor,
+        wheel: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         """joints_3d (N, P, J, 3) m in the camera frame, joints_2d (N, P, J, 2) px, presence and score (N, P, J)."""
+        if wheel is not None:
+            joints, inside, visible, present = (self._seated(values, wheel) for values in (joints, inside, visible, present))
         uvz, view = joints.double(), self._view.camera
         xy = torch.stack(((uvz[..., 0] - view.cx) / view.fx, (uvz[..., 1] - view.cy) / view.fy), dim=-1)
         points = torch.cat((xy * uvz[..., 2:], uvz[..., 2:]), dim=-1)
@@ -80,6 +88,13 @@ class _Back(nn.Module):
         presence = torch.sigmoid(present.double())[..., None] * torch.sigmoid(inside.double())
         score = presence * torch.sigmoid(visible.double())
         return (self._told @ points).float(), (self._told @ pixels).float(), presence.float(), score.float()
+
+    def _seated(self, values: Tensor, wheel: Tensor) -> Tensor:
+        """Values (N, P, ...) with the front row exchanged where the wheel is on the right."""
+        exchanged = values[:, self._exchanged]
+        if self._drive_side:
+            return exchanged if self._drive_side == "right" else values
+        return torch.where((wheel < RIGHT_BELOW).reshape(-1, *[1] * (values.ndim - 1)), exchanged, values)
 
 
 def _last(size: Any) -> Tensor:
@@ -144,9 +159,8 @@ def write_whole_graph(model: OnnxModel, out: Path, unit: DepthUnit) -> float:
     ModelError
         Where the difference is above `TOLERANCE_M`.
     """
-    names = {output.name for output in model.session.get_outputs()}
     if (
-        not {"joints", "inside", "visible", "present"} <= names
+        not {"joints", "inside", "visible", "present"} <= set(model.answers)
         or "rgb" in model.config.inputs
         or "depth" not in model.config.inputs
     ):
@@ -182,17 +196,19 @@ def _joined_graph(model: OnnxModel, network: onnx.ModelProto, unit: DepthUnit) -
     k, dist = torch.tensor(config.view.camera.k), torch.zeros(5, dtype=torch.float64)
     image = torch.ones((2, height + 1, width + 2), dtype=torch.float32).to(kind)
     people, count = len(model.persons), len(model.joints)
-    answers = [torch.ones(2, people, count, 3), torch.ones(2, people, count), torch.ones(2, people, count), torch.ones(2, people)]
+    of_joints = torch.ones(2, people, count)
+    answers = {"joints": torch.ones(2, people, count, 3), "inside": of_joints, "visible": of_joints, "present": of_joints[..., 0]}
+    if "wheel" in model.answers and not model.drive_side:
+        answers["wheel"] = torch.ones(2)
     sides = {0: "frames", 1: "height", 2: "width"}
     with TemporaryDirectory() as folder:
         into = _traced(
             _Into(config, unit), Path(folder) / "into.onnx", {"camera_k": k, "camera_dist": dist} | dict.fromkeys(images, image),
             [f"seen_{name}" for name in images], dict.fromkeys(images, sides),
         )  # fmt: skip
-        names = ("joints", "inside", "visible", "present")
         back = _traced(
-            _Back(model), Path(folder) / "back.onnx", {"back_k": k, "back_dist": dist} | dict(zip(names, answers, strict=True)),
-            list(OUTPUTS), {name: {0: "frames"} for name in names},
+            _Back(model), Path(folder) / "back.onnx", {"back_k": k, "back_dist": dist} | answers,
+            list(OUTPUTS), {name: {0: "frames"} for name in answers},
         )  # fmt: skip
     if unit == "mm":
         for entry in into.graph.input:
@@ -207,7 +223,7 @@ def _joined_graph(model: OnnxModel, network: onnx.ModelProto, unit: DepthUnit) -
     fed = [(f"seen_{name}", f"network/{name}") for name in images]
     first = compose.merge_models(into, network, io_map=fed)
     whole = compose.merge_models(
-        first, back, io_map=[(f"network/{name}", f"back/{name}") for name in names], outputs=list(OUTPUTS)
+        first, back, io_map=[(f"network/{name}", f"back/{name}") for name in answers], outputs=list(OUTPUTS)
     )
     for node in whole.graph.node:  # the camera is given once
         node.input[:] = [{"back/back_k": "camera_k", "back/back_dist": "camera_dist"}.get(name, name) for name in node.input]
@@ -248,7 +264,7 @@ def _difference(model: OnnxModel, path: Path, unit: DepthUnit) -> float:
         light = np.round(150.0 / np.maximum(depth_m, 0.3) ** 2).astype(np.uint16)
         frames = FrameBatch(depth=depth_m, camera_k=camera.k, camera_dist=np.array(camera.dist), amplitude=light)
         cameras = cameras_of(frames, slice(None))
-        poses = predictor.poses(model.run(predictor.seen(frames, slice(None), cameras)), cameras)
+        poses = predictor.poses(predictor.found(predictor.seen(frames, slice(None), cameras), frames, slice(None)), cameras)
         images = {
             "depth": depth_mm if unit == "mm" else depth_m,
             "amplitude": light if unit == "mm" else light.astype(np.float32),

@@ -109,7 +109,7 @@ def _measured(
     for start in range(0, dataset.sizes["frame"], BATCH):
         which = slice(start, start + BATCH)
         frames = frame_batch(dataset, which, images_of(model))
-        found = model.model.run(model.seen(frames, slice(None), cameras_of(frames, slice(None))))
+        found = model.found(model.seen(frames, slice(None), cameras_of(frames, slice(None))), frames, slice(None))
         true = truth.isel(frame=which)
         distance = np.linalg.norm(found.joints_3d[:, rows][:, :, columns] - true["joints_3d"].values, axis=-1)
         judged = (found.presence[:, rows][:, :, columns] >= options.presence) & (
