@@ -28,6 +28,7 @@ import numpy as np
 import torch
 import yaml
 from lightning.pytorch.callbacks import Callback
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 import cabinpose
@@ -46,6 +47,7 @@ from cabinpose.core import (
     whole_file,
 )
 from cabinpose.estimate import (
+    JointPredictor,
     Machines,
     Observers,
     Start,
@@ -66,6 +68,7 @@ FEW = 10  # batches after which it is known whether an epoch fits into the time 
 PRESENT = 0.5  # presence of a joint at which somebody is found
 _HINT = "docs/models/campaign.md says what the file holds"
 _END_S = 60.0  # most that generation takes to end after it was asked to
+EXCHANGED = "in another's place"
 # By name: metric, space, group of joints and threshold of `Report.value`.
 FIGURES: Mapping[str, tuple[str, str, str, float | None]] = {
     "PCKh@0.5 2D": ("PCKh", "2d", "All", 0.5),
@@ -73,7 +76,7 @@ FIGURES: Mapping[str, tuple[str, str, str, float | None]] = {
     "wrists": ("PCKh", "2d", "Wrist", 0.5),
     "within 10 cm": ("PCK", "3d", "All", 10.0),
     "median 3D, cm": ("median error", "3d", "All", None),
-    "in another's place": ("people found in another's place", "image", PEOPLE, None),
+    EXCHANGED: ("people found in another's place", "image", PEOPLE, None),
 }
 DECIDES = ("AUC 2D", "within 10 cm", "IoU")  # the first of them that a model has: a model without 2D answers has the second
 
@@ -396,20 +399,39 @@ def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
         dataset = dataset.isel(frame=np.flatnonzero(top < row.top_reflects_below))
         if not dataset.sizes["frame"]:
             return {"frames": 0.0}
+    if "vehicle_from_camera" in dataset:
+        dataset = dataset.assign_coords(drive_side=("frame", wheel_sides(dataset)))
     (model,) = opened_models([str(path)], dataset)
     if isinstance(model, Segmenter):
         return {"IoU": evaluate_parts(dataset, model, resamples=0).value("IoU"), "frames": float(dataset.sizes["frame"])}
     found = model if isinstance(model, Predictions) else predict_dataset(dataset, model)
     persons = row.persons or tuple(p for p in found.persons if p in dataset["person"].values)
     columns = [found.persons.index(name) for name in persons]
-    said = (found.presence[:, columns] >= PRESENT).any(axis=-1)
+    said = np.any(found.presence[:, columns] >= PRESENT, axis=-1)
     nobody = np.all(dataset["visibility"].sel(person=list(persons)).values == Visibility.ABSENT, axis=-1)
     values = {"false people": 100.0 * float(said[nobody].mean())} if nobody.any() else {}
     if not row.empty:
         report = evaluate(dataset, found, EvaluationOptions(resamples=0), persons=persons)
         known = {name: report.value(metric, space, joints, at) for name, (metric, space, joints, at) in FIGURES.items()}
         values = {name: float(value.value) for name, value in known.items() if value is not None} | values
+    if isinstance(model, JointPredictor) and model.seats_by_place and not row.empty:
+        seen = predict_dataset(dataset.drop_vars("drive_side"), model)
+        metric, space, joints, at = FIGURES[EXCHANGED]
+        value = evaluate(dataset, seen, EvaluationOptions(resamples=0), persons=persons).value(metric, space, joints, at)
+        values |= {} if value is None else {f"{EXCHANGED}, untold": float(value.value)}
     return values | {"frames": float(dataset.sizes["frame"])}
+
+
+def wheel_sides(dataset: Any) -> NDArray[np.str_]:
+    """(N,) the side of each frame's wheel, which a car knows: the driver's, or else not the front passenger's; "" for nobody."""
+    sides = np.full(dataset.sizes["frame"], "", "<U5")
+    left = dataset["vehicle_from_camera"].values[:, 1]
+    for person, its in (("front_passenger", ("right", "left")), ("driver", ("left", "right"))):
+        if person in dataset["person"].values:
+            hips = dataset["joints_3d"].sel(person=person, joint=["lpelvis", "rpelvis"]).values.mean(axis=1)
+            across = (left[:, :3] * hips).sum(axis=-1) + left[:, 3]
+            sides = np.where(np.isfinite(across), np.where(across > 0, *its), sides)
+    return sides
 
 
 def _table(before: Mapping[str, Mapping[str, float]], after: Mapping[str, Mapping[str, float]]) -> str:

@@ -70,7 +70,7 @@ class ViewSettings(Settings):
 
 
 class PlacedSettings(ViewSettings):
-    """The settings of a method that tells seats by where people are in the image, and so has to know where the wheel is."""
+    """The settings of a method that does not see where the wheel is, and so has to be told which seat is the driver's."""
 
     drive_side: Annotated[DriveSide, Field(description="Side of the wheel in the cars that it learns from.")] = "left"
 
