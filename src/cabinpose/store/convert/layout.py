@@ -22,7 +22,7 @@ from cabinpose.store.convert.depth_images import step_m
 from cabinpose.store.schema import LabelRow
 from cabinpose.store.yaml_file import read_mapping, validated
 
-HINT = "docs/dataset.md, Somebody's folder, lists the keys of a layout"
+HINT = "docs/own-folder.md lists the keys of a layout"
 FIELDS = ("subject", "action", "car", "pov", "sequence", "place", "frame")
 """What a name of a file, or a row of a table, may say of a frame; `frame` is a number, `place` is of the people in it."""
 _FIELD = r"\{(\w+)(?::((?:[^{}]|\{[^{}]*\})+))?\}"
