@@ -84,9 +84,9 @@ def test_import(run: Run, tmp_path: Path) -> None:
     [
         (
             "fbx",
-            "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, coco-labels, depth-images, itop, mvnx, ntu, png-json, recording, ",
+            "hint: known: adtfdat, azure-mkv, bvh, c3d, coco, coco-labels, depth-images, folder, itop, mvnx, ntu, png-json, ",
         ),
-        ("bvh", "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu, ticam, depth-images, recording"),
+        ("bvh", "hint: --out FILE.mcap; datasets are made of png-json, coco, itop, ntu, ticam, depth-images, folder, recording"),
         ("coco --keep-invalid", "hint: --keep-invalid is of itop"),
         ("itop --images x", "hint: --images is of coco, ntu"),
         ("itop --intrinsics 0 1 2 3", "hint: give fx, fy, cx and cy"),

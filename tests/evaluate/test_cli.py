@@ -192,6 +192,7 @@ def test_options_reach_the_numbers(run: Callable[..., Outcome], files: list[Path
     assert settings == {
         "min_visibility": "visible", "presence": 0.7, "head": "true", "pck_px": [5.0], "pck_m": [0.08], "pckh": [0.3],
         "hit_px": 26.0, "hit_m": 0.1, "match": "distance", "resamples": 5, "seed": 3,
+        "clusters": 3,
     }  # fmt: skip
 
 

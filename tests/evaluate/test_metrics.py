@@ -292,7 +292,7 @@ def test_jitter_only_where_frames_follow_each_other(changed: dict[str, list[int]
 def test_resamples_are_drawn_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bootstrap, "_BLOCK", 7)
     rng = np.random.default_rng(0)
-    values, weights = rng.normal(size=(30, 2)), frame_weights(30, 50, rng=rng)
+    values, weights = rng.normal(size=(30, 2)), frame_weights(np.arange(30), 50, rng=rng)
     assert (weights.sum(axis=1) == 30).all()
     for weight, total in zip(weights, weighted_sums(weights, values), strict=True):
         assert np.allclose(np.repeat(values, weight, axis=0).sum(axis=0), total)
@@ -306,7 +306,7 @@ def test_interval_is_that_of_the_mean() -> None:
     """For a mean of many independent frames the interval is ±1.96 standard errors."""
     rng = np.random.default_rng(1)
     values = rng.exponential(1, (4000, 1))
-    means = weighted_sums(frame_weights(4000, 2000, rng=rng), values) / 4000
+    means = weighted_sums(frame_weights(np.arange(4000), 2000, rng=rng), values) / 4000
     low, high = interval(means)
     error = values.std() / np.sqrt(4000)
     assert low[0] == pytest.approx(values.mean() - 1.96 * error, abs=0.15 * error)

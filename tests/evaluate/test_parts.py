@@ -42,7 +42,11 @@ def scene(truth: np.ndarray) -> xr.Dataset:
             "camera_k": (("frame", "k_row", "k_column"), np.tile(np.eye(3), (frames, 1, 1))),
             "camera_dist": (("frame", "dist_coefficient"), np.zeros((frames, 5))),
         },
-        {"frame": np.arange(10, 10 + frames)},
+        {
+            "frame": np.arange(10, 10 + frames),
+            "sequence": ("frame", np.zeros(frames, np.int64)),
+            "sync_ns": ("frame", np.zeros(frames, np.int64)),
+        },
     )
 
 

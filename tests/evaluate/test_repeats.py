@@ -39,7 +39,7 @@ def hits(share: float, frames: int, *, rng: np.random.Generator) -> ModelErrors:
     """A joint a frame, found at once or not at all."""
     error = np.where(rng.random((frames, 1)) < share, 0.0, np.inf)
     head = np.ones(frames)
-    return ModelErrors(frames, np.arange(frames), error, error, head, head, np.zeros((0, 0, 0), np.int64))
+    return ModelErrors(np.arange(frames), np.arange(frames), error, error, head, head, np.zeros((0, 0, 0), np.int64))
 
 
 def test_the_interval_over_frames_is_the_binomial_one() -> None:
@@ -63,7 +63,7 @@ def test_the_interval_over_repeats_is_that_of_their_mean() -> None:
 def test_parts_are_pooled_over_frames() -> None:
     confusion = np.array([[[90, 0, 0], [0, 5, 5], [0, 0, 10]], [[80, 10, 0], [0, 10, 0], [10, 0, 0]]])
     none = np.zeros(0)
-    run = ModelErrors(2, np.zeros(0, np.int64), np.zeros((0, 1)), np.zeros((0, 1)), none, none, confusion)
+    run = ModelErrors(np.arange(2), np.zeros(0, np.int64), np.zeros((0, 1)), np.zeros((0, 1)), none, none, confusion)
     found = over_repeats([run], "iou", resamples=0)
     assert found.value == pytest.approx(100 * (15 / 30 + 10 / 25) / 2)  # 15 of 20 true and 25 found; 10 of 20 and 15
     assert over_repeats([run], "person_iou", resamples=0).value == pytest.approx(100 * 30 / 50)

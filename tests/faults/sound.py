@@ -22,6 +22,7 @@ import xarray as xr
 import yaml
 from mutations import Read
 from PIL import Image
+from scipy.io import savemat
 from test_fuzz import rows
 from test_import import coco_file, itop_folder
 from test_import_ntu import by_hand
@@ -175,6 +176,38 @@ def depth_image(suffix: str) -> Callable[[Path], bytes]:
 
 def depth_images(path: Path) -> None:
     frames_of("depth-images", fov_deg=60.0)(path)
+
+
+LAID_OUT = {
+    "depth": {"files": "{frame}.png", "unit": "mm"},
+    "joints": {
+        "files": "rows.csv", "definition": "anatomy", "names": {"lwrist": "W"},
+        "values": {"frame": "image", "x": "{joint}.x", "y": "{joint}.y", "z": "{joint}.z", "visibility": "{joint}.seen"},
+        "states": {"0": "absent", "2": "visible"},
+    },
+    "camera": {"fx": 12.0, "fy": 12.0, "cx": 7.5, "cy": 5.5},
+}  # fmt: skip
+OF_ARRAYS = {"files": "all.mat", "variable": "out/pose", "definition": "kinect_v2", "names": {"lwrist": 0, "rwrist": 1}}
+
+
+def laid_out(folder: Path, **changes: Any) -> Path:
+    """Somebody's folder of two frames, and its layout."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for number in range(2):
+        Image.fromarray(np.full((12, 16), 900 + number, np.uint16)).save(folder / f"{number}.png")
+    (folder / "rows.csv").write_text("image,W.x,W.y,W.z,W.seen\n0,0.1,0.2,0.9,2\n1,0.1,0.2,0.9,0\n")
+    savemat(folder / "all.mat", {"out": {"pose": np.ones((2, 2, 3))}})
+    (folder / "layout.yaml").write_text(yaml.safe_dump(LAID_OUT | changes))
+    return folder
+
+
+def laid_out_by_arrays(folder: Path) -> Path:
+    return laid_out(folder, joints=OF_ARRAYS)
+
+
+def frames_of_layout(folder: Path) -> None:
+    frames_of("folder", layout=folder / "layout.yaml")(folder)
 
 
 def shown_as(kind: str, **options: Any) -> Callable[[Path], Path]:

@@ -23,7 +23,7 @@ SLOW = {  # more than 5 ms a file, or a second to begin
     "c3d", "xdf", "adtfdat", "azure-mkv", "rosbag2", "configuration", "onnx", "onnx style", "onnx weights", "itop depth",
     "ntu depth", "ticam depth", "ticam mask", "coco pictures", "coco masks", "coco-labels", "png-json", "png-json classes",
     "png-json pose", "png-json labels", "checkpoint", "vgg19", "training", "npz walks", "npz dpm", "source azure_mkv",
-    "classes chunk",
+    "classes chunk", "folder mat",
 }  # fmt: skip
 MANY = {name: 40 if name in SLOW else 200 for name in READERS} | {
     "azure-mkv": 20, "adtfdat": 30, "source azure_mkv": 10, "npz dpm": 20, "vgg19": 20,

@@ -166,7 +166,7 @@ def test_what_is_there_is_kept(dataset_folder: Path, png_json: Path, tmp_path: P
 def test_unknown_sources(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the format 'ply' reads no datasets") as error:
         open_source(tmp_path, "ply")
-    assert error.value.hint == "those that do: png-json, coco, itop, ntu, ticam, depth-images, recording"
+    assert error.value.hint == "those that do: png-json, coco, itop, ntu, ticam, depth-images, folder, recording"
     with pytest.raises(ConfigError, match="itop has no option 'every'"):
         open_source(tmp_path, "itop", every=2)
     for name in (name for name, form in FORMATS.items() if isinstance(form, DatasetFormat) and form.can("read")):

@@ -33,6 +33,17 @@ def canvas(page: Any) -> Any:
     return page.locator(".frame-canvas:visible")
 
 
+def routed(page: Any, pattern: str, answer: Callable[[Any], Any]) -> list[Callable[[Any], Any]]:
+    """What is done with requests of a page that is not there yet: the last of these holds, and more can be added at any time.
+
+    Over a page that is shown, Chromium takes requests some time after `page.route` has returned: a key that is pressed meanwhile
+    reaches the server.
+    """
+    answers = [answer]
+    page.route(pattern, lambda route: answers[-1](route))  # noqa: PLW0108 - the last one at that time
+    return answers
+
+
 def until(what: Callable[[], Any], seconds: float = 20.0) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -100,12 +111,13 @@ def test_labelling_a_frame_takes_few_seconds(page: Any, start: Callable[..., Any
 @pytest.mark.slow
 def test_frame_is_not_accepted_before_it_is_seen(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
     """Enter twice, while the second frame's image is still on its way: that frame is not labelled, until Enter comes again."""
+    answers = routed(page, "**/frames/*/1/depth", lambda route: route.continue_())
     page.goto(start(dataset_folder).address)
     tab(page, "Label")
     shown = canvas(page)
     shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])
     held: list[Any] = []
-    page.route("**/frames/*/1/depth", lambda route: held.append(route))  # noqa: PLW0108 - it marks what it is given
+    answers.append(held.append)
     page.keyboard.press("Enter")
     page.get_by_text("1 of 6 frames done").wait_for()
     page.wait_for_timeout(300)  # the image of the second frame is asked for
@@ -160,22 +172,22 @@ def test_a_burst_in_two_windows_is_on_the_disk(page: Any, start: Callable[..., A
 @pytest.mark.slow
 def test_what_is_not_written_is_told(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
     """While the studio does not answer, and when the page is no longer its own."""
-    server = start(dataset_folder)
-    page.goto(server.address)
+    answers = routed(page, "**/inputs/*", lambda route: route.abort())
+    page.goto(start(dataset_folder).address)
     tab(page, "Label")
     shown = canvas(page)
     shown.click(position={"x": 5, "y": 5}, modifiers=["Shift"])
-    page.route("**/inputs/*", lambda route: route.abort())
     page.keyboard.press("v")
     page.keyboard.press("h")
     page.get_by_text("the studio does not answer: 2 inputs not yet written").wait_for()
     assert labels_beside(dataset_folder) == {}
-    page.unroute("**/inputs/*")
-    until(lambda: len(labels_beside(dataset_folder)) == 2)
+    answers.append(lambda route: route.continue_())
     page.get_by_text("not yet written").wait_for(state="detached")
-    page.route("**/inputs/*", lambda route: route.fulfill(status=404, body="gone"))
+    assert len(labels_beside(dataset_folder)) == 2
+    answers.append(lambda route: route.fulfill(status=404, body="gone"))
     page.keyboard.press("v")
     page.get_by_text("this page is not the studio's any more: 1 input not written").wait_for()
+    assert len(labels_beside(dataset_folder)) == 2
 
 
 @pytest.mark.slow

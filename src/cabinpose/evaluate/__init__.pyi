@@ -1,3 +1,4 @@
+from .bootstrap import clusters_of as clusters_of
 from .bootstrap import frame_weights as frame_weights
 from .bootstrap import interval as interval
 from .bootstrap import weighted_sums as weighted_sums

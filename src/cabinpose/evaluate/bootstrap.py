@@ -1,9 +1,12 @@
-"""Intervals by the bootstrap: frames are drawn with replacement, as many as there are (Efron and Tibshirani 1993, ch. 6, 13).
+"""Intervals by the cluster bootstrap: sequences, and frames of none, are drawn with replacement, as many as there are.
 
-Frames of one sequence resemble each other, so that intervals over few long sequences are too narrow.
+Frames of one sequence resemble each other, and are drawn together. See Efron and Tibshirani 1993, ch. 6, 13; Davison and Hinkley
+1997, 3.8: clusters are drawn, and nothing within them.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +19,27 @@ _BLOCK = 4096  # frames at a time, so that weights are floats only block by bloc
 _ELEMENTS = 1 << 20  # of several resamples at a time, so that few frames cost few calls
 
 
-def frame_weights(frames: int, resamples: int, *, rng: np.random.Generator) -> Weights:
-    """(B, F) how often each of `frames` frames is drawn in each of `resamples` resamples."""
-    weights = np.empty((resamples, frames), np.uint8)
+def clusters_of(sequence: NDArray[np.int64], sync_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(F,) the cluster of each frame, numbered from 0: its sequence, or itself where all frames of its sequence are of one time.
+
+    Of a single sequence, which nothing can be drawn from, stretches of frames in a row are clusters, as many as each has frames.
+    """
+    names, of = np.unique(sequence, return_inverse=True)
+    first, last = np.full(len(names), np.iinfo(np.int64).max), np.full(len(names), np.iinfo(np.int64).min)
+    np.minimum.at(first, of, sync_ns)
+    np.maximum.at(last, of, sync_ns)
+    moving, own = (first < last)[of], np.arange(len(of))
+    if len(names) == 1 and moving.all():
+        return own // max(math.isqrt(len(of)), 1)
+    return np.unique(np.where(moving, of, len(names) + own), return_inverse=True)[1]
+
+
+def frame_weights(cluster: NDArray[np.int64], resamples: int, *, rng: np.random.Generator) -> Weights:
+    """(B, F) how often each frame is drawn in each of `resamples` resamples, with all others of its cluster (F,)."""
+    clusters = int(cluster.max(initial=-1)) + 1
+    weights = np.empty((resamples, len(cluster)), np.uint8)
     for row in weights:
-        row[:] = np.bincount(rng.integers(frames, size=frames), minlength=frames)
+        row[:] = np.bincount(rng.integers(clusters, size=clusters), minlength=clusters)[cluster]
     return weights
 
 

@@ -1,8 +1,8 @@
 """Whom a model finds less well: accuracy by stature, age, seat, view or any other label of people, with the group that is worst.
 
-All groups of a report are drawn by the same resamples of frames, so that the difference between two of them has an interval of
-its own. The worst of several groups is worse than the others by chance alone: its interval is widened by their number
-(Bonferroni).
+All groups of a report are drawn by the same resamples of sequences and single frames, so that the difference between two of them
+has an interval of its own. The worst of several groups is worse than the others by chance alone: its interval is widened by their
+number (Bonferroni).
 """
 
 from __future__ import annotations
@@ -254,7 +254,7 @@ def _rows(samples: Samples, rows: NDArray[np.int64]) -> Samples:
     def some(space: Space) -> Space:
         return space._replace(**{name: array[rows] for name, array in space._asdict().items()})
 
-    whole = ("skeleton", "frames", "px", "m", "detections")
+    whole = ("skeleton", "frames", "sequence", "sync_ns", "px", "m", "detections")
     by_sample = {name: value[rows] for name, value in samples._asdict().items() if name not in whole}
     return samples._replace(**by_sample, px=some(samples.px), m=some(samples.m))
 

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.core import DatasetError, Segmenter, class_table, confusion, images_of, intersection_over_union, whole_person
-from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_sums
+from cabinpose.evaluate.bootstrap import clusters_of, frame_weights, interval, weighted_sums
 from cabinpose.evaluate.offline import BATCH, frame_batch, trained_ranges
 from cabinpose.store import in_ranges
 
@@ -73,7 +73,7 @@ def evaluate_parts(
     name
         What the report calls the dataset.
     resamples, seed
-        Of the bootstrap over frames; 0: no intervals.
+        Of the bootstrap over sequences and single frames; 0: no intervals.
     progress
         Called with the number of frames done.
 
@@ -93,7 +93,8 @@ def evaluate_parts(
     for truth, answer in pairs(dataset, model, progress):
         counts += [confusion(t, a, count) for t, a in zip(truth, answer, strict=True)]
     each = np.stack(counts)  # (F, C, C)
-    weights = frame_weights(len(each), resamples, rng=np.random.Generator(np.random.Philox(key=seed)))
+    drawn_with = clusters_of(*(dataset[name].values.astype(np.int64) for name in ("sequence", "sync_ns")))
+    weights = frame_weights(drawn_with, resamples, rng=np.random.Generator(np.random.Philox(key=seed)))
     drawn = weighted_sums(weights, each.reshape(len(each), -1).astype(np.float64)).reshape(-1, count, count)
     totals = np.concatenate((each.sum(axis=0)[None].astype(np.float64), drawn))
     iou = intersection_over_union(totals)

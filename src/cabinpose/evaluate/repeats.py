@@ -1,6 +1,7 @@
 """Numbers over repeats of a training: the mean over models that differ in their seed alone, judged on the same frames.
 
-The interval is that of a bootstrap over both: models are drawn with replacement, and so are frames, the same ones for all models.
+The interval is that of a bootstrap over both: models are drawn with replacement, and so are sequences and single frames, the same
+ones for all models.
 With two or three models it says little of how models differ: beside it stand the least and the greatest model.
 """
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import intersection_over_union, whole_person
-from cabinpose.evaluate.bootstrap import frame_weights, interval, weighted_sums
+from cabinpose.evaluate.bootstrap import clusters_of, frame_weights, interval, weighted_sums
 from cabinpose.evaluate.metrics import area_to_half, within_head
 from cabinpose.evaluate.samples import Samples
 
@@ -26,17 +27,23 @@ found; of body parts: mean intersection over union, that of people as a whole (%
 class ModelErrors(NamedTuple):
     """What a model's numbers are made of, over F frames: S people with J joints, or pixels by C true and found classes.
 
-    frames: F · at: (S,) the frame of each person · error_px, error_m: (S, J) distance to the truth, infinite where the joint was
-    not found, NaN where it does not count · head_px, head_m: (S,) head size · confusion: (F, C, C) or (0, 0, 0).
+    cluster: (F,) what a frame is drawn with, see `clusters_of` · at: (S,) the frame of each person ·
+    error_px, error_m: (S, J) distance to the truth, infinite where the joint was not found, NaN where it does not count ·
+    head_px, head_m: (S,) head size · confusion: (F, C, C) or (0, 0, 0).
     """
 
-    frames: int
+    cluster: NDArray[np.int64]
     at: NDArray[np.int64]
     error_px: Array
     error_m: Array
     head_px: Array
     head_m: Array
     confusion: NDArray[np.int64]
+
+    @property
+    def frames(self) -> int:
+        """F."""
+        return len(self.cluster)
 
 
 class OverRepeats(NamedTuple):
@@ -53,15 +60,17 @@ def errors_of(samples: Samples) -> ModelErrors:
     spaces = [np.where(s.found, s.error.astype(np.float64), np.inf) for s in (samples.px, samples.m)]
     px, m = (np.where(samples.counts & s.known, error, np.nan) for s, error in zip((samples.px, samples.m), spaces, strict=True))
     heads = (samples.px.head.astype(np.float64), samples.m.head.astype(np.float64))
-    return ModelErrors(len(samples.frames), samples.at, px, m, *heads, np.zeros((0, 0, 0), np.int64))
+    return ModelErrors(clusters_of(samples.sequence, samples.sync_ns), samples.at, px, m, *heads, np.zeros((0, 0, 0), np.int64))
 
 
 def joined_errors(parts: Sequence[ModelErrors]) -> ModelErrors:
     """The errors on several datasets, one after the other, as those on one."""
     firsts = np.cumsum([0, *(part.frames for part in parts)])
     at = np.concatenate([part.at + first for part, first in zip(parts, firsts, strict=False)])
+    counts = np.cumsum([0, *(part.cluster.max(initial=-1) + 1 for part in parts)])
+    cluster = np.concatenate([part.cluster + count for part, count in zip(parts, counts, strict=False)])
     rest = zip(*(part[2:] for part in parts), strict=True)
-    return ModelErrors(int(firsts[-1]), at, *(np.concatenate(arrays) for arrays in rest))
+    return ModelErrors(cluster, at, *(np.concatenate(arrays) for arrays in rest))
 
 
 def over_repeats(
@@ -86,7 +95,7 @@ def over_repeats(
         Of the bootstrap; 0: no interval.
     """
     rng = np.random.Generator(np.random.Philox(key=seed))
-    weights = frame_weights(runs[0].frames, resamples, rng=rng)
+    weights = frame_weights(runs[0].cluster, resamples, rng=rng)
     drawn = np.stack([_resampled(run, measure, weights, space, threshold, joints) for run in runs])  # (R, 1 + B)
     chosen = rng.integers(len(runs), size=(resamples, len(runs)))
     means = drawn[chosen, 1 + np.arange(resamples)[:, None]].mean(axis=1)

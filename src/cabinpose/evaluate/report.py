@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import CABINPOSE
+from cabinpose.evaluate.bootstrap import clusters_of
 from cabinpose.evaluate.boxes import Boxes, boxes_by_range
 from cabinpose.evaluate.caveats import Caveats
 from cabinpose.evaluate.groups import Grouping
@@ -84,6 +85,7 @@ def make_report(
     views = sample_views(samples, options)
     spaces = {view.space: view for view in views if view.visibility == ANY and view.space != IMAGE}
     ranked = _ranked(samples)
+    clusters = len(np.unique(clusters_of(samples.sequence, samples.sync_ns)))
     middle = (len(ranked) - _SHOWN) // 2
     return Report(
         model=model,
@@ -100,7 +102,7 @@ def make_report(
         },
         worst=ranked[:_SHOWN],
         typical=ranked[middle : middle + _SHOWN][::-1] if middle > 0 else (),  # few frames are all among the worst
-        settings={**asdict(options), "min_visibility": options.min_visibility.name.lower()},
+        settings={**asdict(options), "min_visibility": options.min_visibility.name.lower(), "clusters": clusters},
         caveats=caveats if isinstance(caveats, Caveats) else Caveats(len(samples.frames), len(samples.frames), notes=caveats),
         skeleton=skeleton.name,
         groupings=groupings,

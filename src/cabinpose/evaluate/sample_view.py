@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import Visibility
-from cabinpose.evaluate.bootstrap import Weights, frame_weights, interval, weighted_quantiles, weighted_sums
+from cabinpose.evaluate.bootstrap import Weights, clusters_of, frame_weights, interval, weighted_quantiles, weighted_sums
 from cabinpose.evaluate.calibration import Confidence, Reliability, confidence, of_presence
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.samples import Samples, Space
@@ -224,7 +224,8 @@ class SampleView:
 
 def resampled_frames(samples: Samples, options: EvaluationOptions) -> Weights:
     """(B, F) how often each frame is drawn in each resample: by the options' seed, so that all numbers of a report share them."""
-    return frame_weights(len(samples.frames), options.resamples, rng=np.random.Generator(np.random.Philox(key=options.seed)))
+    drawn_with = clusters_of(samples.sequence, samples.sync_ns)
+    return frame_weights(drawn_with, options.resamples, rng=np.random.Generator(np.random.Philox(key=options.seed)))
 
 
 def sample_views(samples: Samples, options: EvaluationOptions) -> tuple[SampleView, ...]:

@@ -61,18 +61,20 @@ class Space(NamedTuple):
 class Samples(NamedTuple):
     """S samples over F frames, by rising frame, and the predicted people of each frame matched as COCO does.
 
-    frames: (F,) numbers · at: (S,) position of the sample's frame in `frames` · place: (S,) position of the slot, beyond
-    them for predicted people whom no true one stands for · visibility: (S, J) · counts: (S, J) joints that count ·
-    absent: (S, J) joints that a right prediction leaves out · found: (S, J) · true, predicted: (S,) whether the person
-    is there · oks: (S,) · elsewhere: (S,) whether the person was found, but in another's place: an answer for another place is
-    like them (OKS of 0.5 or more) and not like who is there, and the one for theirs is not. A joint that neither counts nor is
-    absent is too hidden to judge: it is neither right nor wrong. presence, score, expected (m): (S, J) of each joint with a
-    position, however improbable, NaN of the others; near: (S, J) whether that position is within d of the truth. People of whom
-    only improbable joints are known have a row as well.
+    frames: (F,) numbers · sequence, sync_ns: (F,) as in `TruthChunk` · at: (S,) position of the sample's frame
+    in `frames` · place: (S,) position of the slot, beyond them for predicted people whom no true one stands for ·
+    visibility: (S, J) · counts: (S, J) joints that count · absent: (S, J) joints that a right prediction leaves out ·
+    found: (S, J) · true, predicted: (S,) whether the person is there · oks: (S,) · elsewhere: (S,) whether the person was found,
+    but in another's place: an answer for another place is like them (OKS of 0.5 or more) and not like who is there, and the one
+    for theirs is not. A joint that neither counts nor is absent is too hidden to judge: it is neither right nor wrong. presence,
+    score, expected (m): (S, J) of each joint with a position, however improbable, NaN of the others; near: (S, J) whether that
+    position is within d of the truth. People of whom only improbable joints are known have a row as well.
     """
 
     skeleton: Skeleton
     frames: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    sync_ns: NDArray[np.int64]
     at: NDArray[np.int64]
     place: NDArray[np.int64]
     visibility: NDArray[np.uint8]
@@ -195,6 +197,8 @@ def _samples(
     return Samples(
         skeleton,
         truth.frame,
+        truth.sequence,
+        truth.sync_ns,
         (seen + f).astype(np.int64),
         p.astype(np.int64),
         visibility[f, p],

@@ -72,8 +72,8 @@ def dataset_skeleton(dataset: xr.Dataset, name: str = CABINPOSE.name) -> Skeleto
     maker, stated = str(dataset.attrs.get("generator")), str(dataset.attrs.get("joint_definition") or "")
     if name == CABINPOSE.name and maker == "cabinpose.synth" and not stated:
         return found.marked_by(RIG.definition)
-    if name == CABINPOSE.name and stated in JOINT_DEFINITIONS and stated != ANATOMY:
-        return found.marked_by(JOINT_DEFINITIONS[stated].definition)
+    if name == CABINPOSE.name and stated and stated != ANATOMY:
+        return found.marked_by(JOINT_DEFINITIONS[stated].definition if stated in JOINT_DEFINITIONS else f"those of {stated}")
     placed_by = _PLACED_BY.get(maker)
     return found if placed_by is None else found.marked_by(placed_by)
 

@@ -144,7 +144,7 @@ def _compared(unit: str, before: Floats, after: Floats, blocks: NDArray[np.int64
         np.float64
     )
     sums = sums[sums[:, 1] > 0]
-    weights = frame_weights(len(sums), _RESAMPLES, rng=np.random.Generator(np.random.Philox(seed)))
+    weights = frame_weights(np.arange(len(sums)), _RESAMPLES, rng=np.random.Generator(np.random.Philox(seed)))
     drawn = weighted_sums(weights, sums)
     low, high = (float(x[0]) for x in interval(drawn[:, :1] / drawn[:, 1:]))
     return Compared(unit, float(before[both].mean()), float(after[both].mean()), low, high, int(both.sum()))

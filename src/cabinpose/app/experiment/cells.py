@@ -22,7 +22,7 @@ import numpy as np
 
 from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, draw, opened
 from cabinpose.core import ConfigError, make_folder, read_arrays, whole_file, write_whole
-from cabinpose.evaluate import EvaluationOptions, ModelErrors, errors_of, joined_errors, samples_of
+from cabinpose.evaluate import EvaluationOptions, ModelErrors, clusters_of, errors_of, joined_errors, samples_of
 from cabinpose.store import MANIFEST_NAME
 from cabinpose.synth import Existing, SynthConfig, generate
 
@@ -202,8 +202,7 @@ class TestCell(ExperimentCell):
     def errors(self) -> tuple[ModelErrors, tuple[str, ...]]:
         """What was found: the errors, and the joints or parts that they are of."""
         arrays = read_arrays(self.folder / "errors.npz")
-        frames, *rest = (arrays[name] for name in ModelErrors._fields)
-        return ModelErrors(int(frames), *rest), tuple(map(str, arrays["names"]))
+        return ModelErrors(*(arrays[name] for name in ModelErrors._fields)), tuple(map(str, arrays["names"]))
 
     def _made(self) -> dict[str, Any]:
         parts, names = [], []
@@ -242,7 +241,8 @@ def _judged(dataset: Any, model: Path, slots: tuple[str, ...]) -> tuple[ModelErr
         count = len(found.parts) + 1
         counts = [confusion(t, a, count) for truth, answer in pairs(dataset, found) for t, a in zip(truth, answer, strict=True)]
         none, nobody = np.zeros((0, 1)), np.zeros(0)
-        errors = ModelErrors(len(counts), np.zeros(0, np.int64), none, none, nobody, nobody, np.stack(counts))
+        drawn_with = clusters_of(*(dataset[name].values.astype(np.int64) for name in ("sequence", "sync_ns")))
+        errors = ModelErrors(drawn_with, np.zeros(0, np.int64), none, none, nobody, nobody, np.stack(counts))
         return errors, tuple(part.name for part in found.parts)
     samples, _ = samples_of(dataset, found, EvaluationOptions(resamples=0), persons=slots)
     return errors_of(samples), samples.skeleton.joints

@@ -19,10 +19,10 @@ from cabinpose.core import ConfigError, make_folder, write_together
 
 PLAN = "experiment.json"
 _INTERVALS = (
-    "Each cell: the mean over the repeats, and below it what 95 of 100 resamples of repeats and single frames give, then each "
-    "repeat. That is no interval of confidence over few repeats, nor where frames are of sequences, in which they resemble each "
-    "other. Mean errors are of the joints that were found, whose share stands below them. Published figures are of the source's "
-    "own frames: they stand beside ours to be seen, and are no target."
+    "Each cell: the mean over the repeats, and below it what 95 of 100 resamples give, then each repeat. Drawn with replacement "
+    "are repeats and, the same for all of them, whole sequences and single frames. Over few repeats, or few sequences, that is "
+    "narrower than an interval of confidence. Mean errors are of the joints that were found, whose share stands below them. "
+    "Published figures are of the source's own frames: they stand beside ours to be seen, and are no target."
 )
 _NAMES = 8  # of cells in a line
 _LOSSES = ("training loss", "validation loss")

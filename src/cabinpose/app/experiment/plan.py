@@ -23,7 +23,7 @@ from cabinpose.app.experiment.frames import (
 )
 from cabinpose.core import CABINPOSE, ConfigError, unknown_name
 from cabinpose.estimate import METHODS, TrainConfig
-from cabinpose.evaluate import ALL
+from cabinpose.evaluate import ALL, ModelErrors
 from cabinpose.store import validated
 
 FRAME_S = 0.1  # CPU seconds that a generated frame is expected to take, and one that a model answers for
@@ -191,7 +191,8 @@ class _Planner:
                 )
                 _refuse_shared(kind, here & there, where, f"training {trained.name}")
         slots = tuple(METHODS[trained.recipe["method"]].settings(trained.recipe["settings"]).slots)
-        key = digest({"trained": trained.key, "frames": [s.facts for s in sources], "slots": slots})
+        facts = {"trained": trained.key, "frames": [s.facts for s in sources], "slots": slots, "kept": ModelErrors._fields}
+        key = digest(facts)
         told, frames = f"{trained.name} on {name}", sum(s.frames for s in sources)
         return TestCell(
             told, key, self._out / "tested" / key, (trained.key, *_made(sources)), frames * FRAME_S, trained, sources, slots

@@ -47,7 +47,10 @@ def page_html(
     dots = join(part for colour, name in colours for part in (el("i", class_="dot", style=f"background:{colour}"), name))
     first = reports[0]
     draws = first.settings["resamples"]
-    intervals = f"Small: 95 % interval, frames drawn with replacement {draws} times." if draws else "Without intervals."
+    told = (
+        f"Small: 95 % interval. {first.settings['drawn']} sequences and single frames were drawn with replacement {draws} times."
+    )
+    intervals = told if draws else "Without intervals."
     near = join(("Those nearest to the median frame's error. ", dots))
     coverage = join(remark(f"{r.model}: {r.caveats.coverage}") for r in reports if r.caveats.coverage)
     curves = "Share of the true joints that count, in per cent; one that was not found is wrong."

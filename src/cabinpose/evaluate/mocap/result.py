@@ -170,7 +170,7 @@ def _summaries(
         lengths.append(length)
     enough = resamples and blocks >= _FEWEST_BLOCKS
     told = float(np.median(lengths)) if enough else float("nan")
-    drawn = _Blocks(block, frame_weights(blocks, resamples if enough else 0, rng=rng), told)
+    drawn = _Blocks(block, frame_weights(np.arange(blocks), resamples if enough else 0, rng=rng), told)
     for name, column in [(ALL, slice(None)), *((name, slice(i, i + 1)) for i, name in enumerate(names) if several)]:
         yield _summary(runs[0].measure, label, condition, name, values[:, column], drawn)
 

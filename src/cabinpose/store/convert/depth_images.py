@@ -45,10 +45,10 @@ class DepthImageOptions(ImportOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.unit is not None:
-            _step_m(self.unit)
+            step_m(self.unit)
 
 
-def _step_m(unit: str) -> float:
+def step_m(unit: str) -> float:
     """The metres of one step of a unit. Raises ConfigError for what is neither a unit nor a length."""
     try:
         step = LENGTHS_M[unit] if unit in _UNITS else float(unit)
@@ -80,7 +80,7 @@ class DepthImageFormat(DatasetFormat):
                 f"{path}: images do not say what camera took them",
                 hint="give --camera FILE (a calibration of OpenCV, ROS, Open3D ...), --intrinsics FX FY CX CY, or --fov-deg",
             )
-        step, told = (_step_m(options.unit), "") if options.unit else _recognised(path, images)
+        step, told = (step_m(options.unit), "") if options.unit else _recognised(path, images)
         manifest = make_manifest(
             Origin("depth-images", path, options), frames=len(images), size=size,
             variables=("depth", *("amplitude",) * bool(amplitudes)), config={"unit_m": step},
@@ -100,7 +100,7 @@ class _Image(NamedTuple):
     def pixels(self) -> NDArray[Any]:
         """(H, W) uint16, or another kind of integers or floats. Raises `DatasetError`."""
         if self.path.suffix == ".npy":
-            stack = _array(self.path)
+            stack = npy_array(self.path)
             return stack if self.stacked is None else stack[self.stacked]
         image = read_image(self.path, floats=True)
         if image.ndim != 2 or image.dtype == np.uint8:
@@ -109,15 +109,15 @@ class _Image(NamedTuple):
         return image
 
 
-def _array(path: Path) -> NDArray[Any]:
-    """An NPY of (H, W) or (N, H, W) numbers, from the disk as it is asked for."""
+def npy_array(path: Path, most_dims: int = 3) -> NDArray[Any]:
+    """An NPY of numbers of two dimensions, (H, W), to `most_dims`, (N, H, W), from the disk as it is asked for."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # its header is Python's text, which fails in every way there is
         raise DatasetError(
             f"{path} is no whole NPY: {error}", hint="it may be cut short, or hold objects; save it again"
         ) from error
-    if array.ndim not in (2, 3) or array.dtype.kind not in "uif" or 0 in array.shape:
+    if not 2 <= array.ndim <= most_dims or array.dtype.kind not in "uif" or 0 in array.shape:
         raise DatasetError(
             f"{path} holds {array.dtype} of the shape {array.shape}", hint="save numbers of (height, width), or a stack of them"
         )
@@ -129,7 +129,7 @@ def _images(path: Path) -> list[_Image]:
     files = [path]
     if path.is_dir():
         folder = path / "depth" if (path / "depth").is_dir() else path
-        kinds = [sorted(folder.glob(f"*{suffix}"), key=_in_order) for suffix in DEPTH_SUFFIXES]
+        kinds = [sorted(folder.glob(f"*{suffix}"), key=lambda file: natural_order(file.stem)) for suffix in DEPTH_SUFFIXES]
         files = max(kinds, key=len)
         if not files:
             raise DatasetError(f"{folder} holds no depth images", hint=f"they are {_FORMATS}")
@@ -139,14 +139,14 @@ def _images(path: Path) -> list[_Image]:
 
 
 def _of_file(path: Path) -> list[_Image]:
-    if path.suffix == ".npy" and (array := _array(path)).ndim == 3:
+    if path.suffix == ".npy" and (array := npy_array(path)).ndim == 3:
         return [_Image(path, number) for number in range(len(array))]
     return [_Image(path)]
 
 
-def _in_order(path: Path) -> list[tuple[int, str]]:
+def natural_order(name: str) -> list[tuple[int, str]]:
     """Words and numbers of a name, so that 2 is before 10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in _NUMBERS.split(path.stem)]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in _NUMBERS.split(name)]
 
 
 def _amplitudes(path: Path, images: Sequence[_Image], options: DepthImageOptions) -> list[_Image]:
@@ -164,7 +164,7 @@ def _amplitudes(path: Path, images: Sequence[_Image], options: DepthImageOptions
     return found
 
 
-def _valid(pixels: NDArray[Any]) -> NDArray[np.bool_]:
+def has_depth(pixels: NDArray[Any]) -> NDArray[np.bool_]:
     """Where there is a depth: what is neither 0, below it, NaN, infinite, nor the most that an integer of its kind can be."""
     valid = np.isfinite(pixels) & (pixels > 0)
     if pixels.dtype.kind in "ui":
@@ -175,7 +175,7 @@ def _valid(pixels: NDArray[Any]) -> NDArray[np.bool_]:
 def _recognised(path: Path, images: Sequence[_Image]) -> tuple[float, str]:
     """The metres of one step, by the median depth of some images, and what to say of it."""
     chosen = [images[n].pixels() for n in np.unique(np.linspace(0, len(images) - 1, _LOOKED_AT).astype(int))]
-    values = np.concatenate([pixels[_valid(pixels)] for pixels in chosen])
+    values = np.concatenate([pixels[has_depth(pixels)] for pixels in chosen])
     if not values.size:
         raise DatasetError(f"{path}: no pixel of the images has a depth", hint="are they depth images? 0 and NaN are invalid")
     median = float(np.median(values))
@@ -197,9 +197,9 @@ def _frames(
     for number, image in enumerate(images):
         frame = blank_frame(manifest)
         pixels = _of_size(image, shape)
-        frame["depth"] = ticks_of_steps(np.where(_valid(pixels), pixels, 0), step)
+        frame["depth"] = ticks_of_steps(np.where(has_depth(pixels), pixels, 0), step)
         if amplitudes:
-            frame["amplitude"] = _amplitude(_of_size(amplitudes[number], shape))
+            frame["amplitude"] = as_amplitude(_of_size(amplitudes[number], shape))
         frame["sequence"] = 0
         put_camera(frame, camera)
         yield frame
@@ -213,5 +213,6 @@ def _of_size(image: _Image, shape: tuple[int, int]) -> NDArray[Any]:
     return pixels
 
 
-def _amplitude(pixels: NDArray[Any]) -> NDArray[np.uint16]:
+def as_amplitude(pixels: NDArray[Any]) -> NDArray[np.uint16]:
+    """(H, W) rounded, and at most what the dataset's integers hold; NaN becomes 0."""
     return np.rint(np.clip(np.nan_to_num(pixels), 0, np.iinfo(np.uint16).max)).astype(np.uint16)
