@@ -61,6 +61,7 @@ from .source import visible_boxes as visible_boxes
 from .split import COORDINATES as COORDINATES
 from .split import Selection as Selection
 from .split import Splits as Splits
+from .split import draw_rng as draw_rng
 from .split import frame_mask as frame_mask
 from .split import frame_ranges as frame_ranges
 from .split import held_out as held_out

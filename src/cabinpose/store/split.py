@@ -7,6 +7,9 @@ test: {subject: [S04]}
 A frame belongs to a selection if every coordinate that it names has one of the values listed. Of a coordinate that
 each person has (`subject`, `action`), all people in the frame need one of them, so that nobody of a test set is
 ever seen in training; frames with nobody in them belong to no such selection.
+
+`subject/5: [1]` is the first of five folds of the subjects, of any coordinate likewise; `frames: 500` draws so many of the
+frames of each dataset; `datasets: {own-car: {subject: [A]}, scenes: all, lab: none}` says what is otherwise of some datasets.
 """
 
 from __future__ import annotations
@@ -26,45 +29,108 @@ if TYPE_CHECKING:
 
 COORDINATES = ("subject", "car", "pov", "action", "sequence")
 
+FRAMES = "frames"
+"""Key of a split: how many of a dataset's frames are drawn."""
+DATASETS = "datasets"
+"""Key of a split: what is otherwise of some datasets, by the names of their folders."""
+_ALL, _NONE = "all", "none"  # of a dataset's frames
+_MOST_FOLDS = 1000
+_DRAW = 39  # seed of the order in which frames are drawn: of the same selection, more frames are the same ones and others
 _HELD_OUT = 0.15  # share of the subjects that validate where no splits are given
 
-Selection = Mapping[str, tuple[Any, ...]]
+Selection = Mapping[str, Any]
+"""Values by coordinate, or by folds such as subject/5; `FRAMES`: a number; `DATASETS`: selections of single datasets."""
 Splits = Mapping[str, Selection]
 
 
-def parse_splits(data: Any, source: Path | str) -> dict[str, dict[str, tuple[Any, ...]]]:
-    """The splits that plain data describes; `DatasetError` for unknown coordinates, empty lists, or overlap."""
+def parse_splits(data: Any, source: Path | str) -> dict[str, dict[str, Any]]:
+    """The splits that plain data describes; `DatasetError` for unknown keys, empty lists, numbers that cannot be, or overlap."""
     if not isinstance(data, Mapping) or not data:
         raise DatasetError(f"{source} holds no splits", hint="write `name: {coordinate: [values]}`, one line a split")
-    splits: dict[str, dict[str, tuple[Any, ...]]] = {}
-    for name, selection in data.items():
-        if not isinstance(selection, Mapping) or not selection:
-            raise DatasetError(f"{source}: split '{name}' selects nothing", hint=f"name some of: {', '.join(COORDINATES)}")
-        for coordinate, values in selection.items():
-            if coordinate not in COORDINATES:
-                raise DatasetError(
-                    f"{source}: split '{name}' selects by '{coordinate}'", hint=f"known coordinates: {', '.join(COORDINATES)}"
-                )
-            if isinstance(values, str) or not isinstance(values, Sequence) or not values:
-                raise DatasetError(f"{source}: {name}.{coordinate} is no list of values", hint=f"write {coordinate}: [a, b]")
-        splits[str(name)] = {str(key): tuple(values) for key, values in selection.items()}
+    splits = {str(name): _selection(selection, f"split '{name}'", source) for name, selection in data.items()}
     _refuse_overlap(splits, source)
     return splits
 
 
+def _selection(data: Any, what: str, source: Path | str) -> dict[str, Any]:
+    if not isinstance(data, Mapping) or not data or set(data) == {FRAMES}:
+        raise DatasetError(f"{source}: {what} selects nothing", hint=f"name some of: {', '.join(COORDINATES)}")
+    found: dict[str, Any] = {}
+    for key, values in data.items():
+        if key == DATASETS:
+            found[key] = _by_dataset(values, what, source)
+        elif key == FRAMES:
+            if not isinstance(values, int) or isinstance(values, bool) or values < 1:
+                raise DatasetError(f"{source}: {what}: {values!r} frames cannot be drawn", hint="write frames: 500")
+            found[key] = values
+        else:
+            coordinate, many, _ = str(key).partition("/")  # many: "/" where there are folds
+            if coordinate not in COORDINATES or (many and _folds(str(key)) is None):
+                known = f"known coordinates: {', '.join(COORDINATES)}; {FRAMES}, {DATASETS}, and folds such as subject/5"
+                raise DatasetError(f"{source}: {what} selects by '{key}'", hint=known)
+            if isinstance(values, str) or not isinstance(values, Sequence) or not values:
+                raise DatasetError(f"{source}: {what}: {key} is no list of values", hint=f"write {key}: [a, b]")
+            if many and (wrong := [value for value in values if value not in range(1, (_folds(str(key)) or 0) + 1)]):
+                raise DatasetError(f"{source}: {what}: {key} has no fold {wrong[0]!r}", hint="folds are counted from 1")
+            found[str(key)] = tuple(values)
+    return found
+
+
+def _by_dataset(data: Any, what: str, source: Path | str) -> dict[str, dict[str, Any] | None]:
+    """By the name of a dataset's folder: its own selection, {} for all of its frames, None for none of them."""
+    if not isinstance(data, Mapping) or not data:
+        raise DatasetError(
+            f"{source}: {what}: {DATASETS} names none", hint="write datasets: {own-car: {subject: [A]}, scenes: all}"
+        )
+    found: dict[str, dict[str, Any] | None] = {}
+    for name, selection in data.items():
+        if selection in (_ALL, _NONE):
+            found[str(name)] = {} if selection == _ALL else None
+            continue
+        found[str(name)] = _selection(selection, f"{what}, {name}", source)
+        if DATASETS in (found[str(name)] or {}):
+            raise DatasetError(f"{source}: {what}: {name} names datasets itself", hint="name them beside each other")
+    return found
+
+
+def _folds(name: str) -> int | None:
+    """How many folds a key such as subject/5 has; None for one of none."""
+    many = name.partition("/")[2]
+    return int(many) if many.isdecimal() and 2 <= int(many) <= _MOST_FOLDS else None
+
+
 def _refuse_overlap(splits: Splits, source: Path | str) -> None:
-    """Two selections are apart if they share no value of at least one coordinate that both of them name."""
-    for (name_a, a), (name_b, b) in combinations(splits.items(), 2):
-        shared = {key: [v for v in a[key] if v in b[key]] for key in a if key in b}
-        if all(shared.values()):
-            common = "; ".join(f"{key} {', '.join(map(str, values))}" for key, values in shared.items())
-            raise DatasetError(
-                f"{source}: splits '{name_a}' and '{name_b}' overlap" + (f" in {common}" if common else ""),
-                hint="give them different values of one coordinate that both name",
-            )
+    """Two selections are apart if they share no value of at least one coordinate that both of them name, in every dataset."""
+    for (name_a, all_a), (name_b, all_b) in combinations(splits.items(), 2):
+        for dataset in ("", *dict.fromkeys((*all_a.get(DATASETS, ()), *all_b.get(DATASETS, ())))):
+            a, b = _of(all_a, dataset), _of(all_b, dataset)
+            if a is None or b is None:
+                continue
+            shared = {key: [v for v in a[key] if v in b[key]] for key in a if key in b and key != FRAMES}
+            if all(shared.values()):
+                common = "; ".join(f"{key} {', '.join(map(str, values))}" for key, values in shared.items())
+                where = f" of {dataset}" if dataset else ""
+                raise DatasetError(
+                    f"{source}: splits '{name_a}' and '{name_b}' overlap" + (f" in {common}" if common else "") + where,
+                    hint="give them different values of one coordinate that both name",
+                )
 
 
-def read_splits(path: Path | str, names: Sequence[str] | None = None) -> dict[str, dict[str, tuple[Any, ...]]]:
+def _of(selection: Selection, dataset: str) -> Selection | None:
+    """What a selection says of a dataset, by the name of its folder; None: none of its frames."""
+    own: Mapping[str, Selection | None] = selection.get(DATASETS, {})
+    if dataset in own:
+        return own[dataset]
+    rest = {key: value for key, value in selection.items() if key != DATASETS}
+    return None if own and not rest else rest
+
+
+def _name(dataset: xr.Dataset) -> str:
+    """The name of a dataset's folder; "" of one that was not opened from a folder."""
+    return Path(str(dataset.encoding.get("source", ""))).name
+
+
+def read_splits(path: Path | str, names: Sequence[str] | None = None) -> dict[str, dict[str, Any]]:
     """The splits of a YAML file.
 
     Parameters
@@ -95,31 +161,71 @@ def frame_mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
 
 
 def _refuse_unknown(datasets: Sequence[xr.Dataset], selection: Selection) -> None:
-    """Each value has to be in one of the datasets."""
-    for name, wanted in selection.items():
-        known = sorted(set().union(*(_values(dataset, name) for dataset in datasets)))
-        unknown = [value for value in wanted if value not in known]
-        if unknown:
-            which, who = ("the dataset has", "it has") if len(datasets) == 1 else ("the datasets have", "they have")
-            raise DatasetError(f"{which} no {name} {', '.join(map(repr, unknown))}", hint=f"{who}: {', '.join(map(str, known))}")
+    """Each value has to be in one of the datasets that it is said of."""
+    said: dict[tuple[str, Any], list[xr.Dataset]] = {}
+    for dataset in datasets:
+        for name, wanted in (_of(selection, _name(dataset)) or {}).items():
+            for value in wanted if name != FRAMES else ():
+                said.setdefault((name, value), []).append(dataset)
+    lacking: dict[str, list[Any]] = {}
+    for (name, value), among in said.items():
+        if all(value not in _values(dataset, name) for dataset in among):
+            lacking.setdefault(name, []).append(value)
+    for name, unknown in lacking.items():
+        known = sorted(set().union(*(_values(dataset, name) for dataset in said[name, unknown[0]])))
+        which, who = ("the dataset has", "it has") if len(datasets) == 1 else ("the datasets have", "they have")
+        raise DatasetError(f"{which} no {name} {', '.join(map(repr, unknown))}", hint=f"{who}: {', '.join(map(str, known))}")
+
+
+def _column(dataset: xr.Dataset, name: str) -> NDArray[Any]:
+    """A coordinate, or the fold of its values: dealt out to the folds one after the other, in their order; 0 of nobody."""
+    coordinate, _, many = name.partition("/")
+    values = dataset[coordinate].values
+    if not many:
+        return np.asarray(values)
+    if values.dtype.kind == "O":
+        values = values.astype(str)
+    there = np.array(sorted(_values(dataset, coordinate)), values.dtype)
+    number = np.searchsorted(there, values) % int(many) + 1
+    return np.where(values == "", 0, number) if values.dtype.kind == "U" else number
 
 
 def _values(dataset: xr.Dataset, name: str) -> set[Any]:
-    return {value for value in dataset[name].values.ravel().tolist() if value != ""}
+    values = _column(dataset, name).ravel().tolist()
+    return {value for value in values if value != ""} - ({0} if "/" in name else set())
 
 
 def _mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
-    mask = np.ones(dataset.sizes["frame"], bool)
-    for name, wanted in selection.items():
-        values, known = dataset[name].values, _values(dataset, name)
+    own = _of(selection, _name(dataset))
+    mask = np.full(dataset.sizes["frame"], own is not None)
+    for name, wanted in (own or {}).items():
+        if name == FRAMES:
+            continue
+        values, known = _column(dataset, name), _values(dataset, name)
         # A longer name, cut to the width of the dataset's strings, could become another one: only known values are compared.
         chosen = np.isin(values, np.array([value for value in wanted if value in known], dtype=values.dtype))
         if values.ndim == 2:  # (frame, person)
-            absent = values == ""
+            absent = values == (0 if "/" in name else "")
             mask &= (chosen | absent).all(axis=1) & ~absent.all(axis=1)
         else:
             mask &= chosen
-    return mask
+    return mask if own is None or FRAMES not in own else _drawn(mask, own[FRAMES], dataset)
+
+
+def _drawn(mask: NDArray[np.bool_], count: int, dataset: xr.Dataset) -> NDArray[np.bool_]:
+    """(frame,) so many of the frames, always the same ones, and of a greater number the same ones and others."""
+    at = np.flatnonzero(mask)
+    if 0 < len(at) < count:
+        of = f" of {_name(dataset)}" if _name(dataset) else ""
+        raise DatasetError(f"{count} frames{of} are asked for, and the split has {len(at)}", hint=f"ask for at most {len(at)}")
+    result = np.zeros_like(mask)
+    result[at[draw_rng().permutation(len(at))[:count]]] = True
+    return result
+
+
+def draw_rng() -> np.random.Generator:
+    """What decides on the order in which frames are drawn: it depends on nothing but their number."""
+    return np.random.Generator(np.random.Philox(key=_DRAW))
 
 
 class HeldOut(NamedTuple):

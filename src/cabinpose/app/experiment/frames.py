@@ -20,13 +20,12 @@ from cabinpose import __version__
 from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameSelection, RunScale, Training, merged
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
-from cabinpose.store import dataset_id, frame_mask, open_dataset, read_manifest
+from cabinpose.store import dataset_id, draw_rng, frame_mask, open_dataset, read_manifest
 from cabinpose.synth import CabinScene, SequenceConfig, SynthConfig, is_random_car
 
 Identity = tuple[str, int | None]
 """A person, or a car, by name; with the seed of their dataset where it drew them at random."""
 _ROOM = "room_"  # the names of rooms, which are drawn at random, begin so
-_DRAW = 39  # seed of the order in which frames are drawn: of the same selection, more frames are the same ones and others
 
 
 @dataclass(frozen=True)
@@ -320,7 +319,7 @@ def draw(
         )
     if source.part.frames is not None and len(at) < source.part.frames:
         raise _too_few(where, source.part, len(at))
-    rng = np.random.Generator(np.random.Philox(key=_DRAW))
+    rng = draw_rng()
     order = rng.permutation(len(at))
     if whole_sequences:
         _, group = np.unique(np.stack((of, sequence)), axis=1, return_inverse=True)

@@ -24,11 +24,11 @@ from cabinpose.store.convert.layout import (
     CameraKeys,
     ClassFiles,
     DepthFiles,
+    FolderLayout,
     ImageFiles,
     InstanceFiles,
     JointFiles,
-    Layout,
-    Pose,
+    MatrixFiles,
 )
 from cabinpose.store.convert.layout_files import Finder, Key, find, matrix, pixels, stacked, told
 from cabinpose.store.convert.layout_joints import JointReader, LaidPerson, in_camera
@@ -63,8 +63,8 @@ class FolderFormat(DatasetFormat):
             raise DatasetError(f"{path} is no folder", hint="give the folder that the layout's patterns are relative to")
         if options.layout is None:
             raise DatasetError(f"{path}: nothing says what its files hold", hint=f"give --layout FILE; {HINT}")
-        layout = Layout.read(options.layout)
-        folder = _Folder(path, layout, options)
+        layout = FolderLayout.read(options.layout)
+        folder = _LaidFolder(path, layout, options)
         manifest = folder.manifest
         if layout.camera is None and not layout.cameras and given_camera(options, folder.size) is None:
             raise ConfigError(
@@ -79,10 +79,10 @@ class FolderFormat(DatasetFormat):
 FOLDER = FolderFormat()
 
 
-class _Folder:
+class _LaidFolder:
     """A folder with its layout, as it is read."""
 
-    def __init__(self, root: Path, layout: Layout, options: FolderOptions) -> None:
+    def __init__(self, root: Path, layout: FolderLayout, options: FolderOptions) -> None:
         self._root, self._layout, self._options = root, layout, options
         self._files: dict[str, Finder] = {}
         for name in ("amplitude", "labels", "instance"):
@@ -177,7 +177,7 @@ class _Folder:
         names = self._layout.call.get(name, {})  # type: ignore[call-overload]  # its keys are names of fields
         return str(names.get(str(value), value))
 
-    def _camera(self, key: Key) -> tuple[Camera, _Place | None]:
+    def _camera(self, key: Key) -> tuple[Camera, _CameraPlace | None]:
         """The camera of a frame, and where it is in the world of the joints, if the layout says that."""
         given = given_camera(self._options, self.size)
         keys = self._cameras.get("") or self._cameras.get(str(key.get("pov")))
@@ -212,7 +212,7 @@ class _Folder:
             raise DatasetError(wrong, hint="all images of a source have one size; `dims` says which dimension of an array is y")
         return image
 
-    def _put_people(self, frame: dict[str, Any], key: Key, camera: Camera, place: _Place | None) -> None:
+    def _put_people(self, frame: dict[str, Any], key: Key, camera: Camera, place: _CameraPlace | None) -> None:
         layout, spec = self._layout, self._layout.joints
         if self._joints is None or spec is None:
             nobody = np.empty((0, 3))
@@ -254,7 +254,7 @@ class _Folder:
         return at
 
     def _put_joints(
-        self, frame: dict[str, Any], at: int, person: LaidPerson, spec: JointFiles, seen: tuple[Camera, _Place | None]
+        self, frame: dict[str, Any], at: int, person: LaidPerson, spec: JointFiles, seen: tuple[Camera, _CameraPlace | None]
     ) -> None:
         assert self._joints is not None
         camera, place = seen
@@ -295,7 +295,7 @@ def _mapped(image: NDArray[Any], table: dict[int, int], path: Path, key: str) ->
 
 
 @dataclass(frozen=True)
-class _Place:
+class _CameraPlace:
     """Where a camera is. kept: the world is the vehicle's frame."""
 
     world_from_camera: NDArray[np.floating]
@@ -308,9 +308,9 @@ class _Camera:
 
     def __init__(self, root: Path, keys: CameraKeys, what: str) -> None:
         self._keys, self._what, self._root = keys, what, root
-        self._file = Finder(root, Pose(files=keys.file), f"{what}.file") if keys.file else None
+        self._file = Finder(root, MatrixFiles(files=keys.file), f"{what}.file") if keys.file else None
         given = keys.world_from_camera if keys.world_from_camera is not None else keys.camera_from_world
-        self._poses = Finder(root, given, f"{what}.pose") if isinstance(given, Pose) else None
+        self._poses = Finder(root, given, f"{what}.pose") if isinstance(given, MatrixFiles) else None
 
     def intrinsics(self, key: Key, size: tuple[int, int]) -> Camera:
         if self._file is not None:
@@ -319,7 +319,7 @@ class _Camera:
         fx, fy, cx, cy = (value or 0.0 for value in (keys.fx, keys.fy, keys.cx, keys.cy))
         return check_camera(Camera(*size, fx, fy, cx, cy, keys.dist), self._what)
 
-    def place(self, key: Key) -> _Place | None:
+    def place(self, key: Key) -> _CameraPlace | None:
         """Where the camera is in the world; None where the layout does not say."""
         keys = self._keys
         given = keys.world_from_camera if keys.world_from_camera is not None else keys.camera_from_world
@@ -327,7 +327,7 @@ class _Camera:
             return None
         rows = (
             matrix(self._poses.one(key), given.variable)
-            if isinstance(given, Pose) and self._poses
+            if isinstance(given, MatrixFiles) and self._poses
             else np.array(given, np.float64)
         )
         whole = np.eye(4)
@@ -338,4 +338,4 @@ class _Camera:
                 f"{self._what}: the matrix turns by no rotation", hint="its first three columns are those of a right-handed frame"
             )
         other, kept = np.linalg.inv(whole), keys.world == "vehicle"
-        return _Place(other, whole, kept) if keys.world_from_camera is None else _Place(whole, other, kept)
+        return _CameraPlace(other, whole, kept) if keys.world_from_camera is None else _CameraPlace(whole, other, kept)

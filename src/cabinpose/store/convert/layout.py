@@ -270,7 +270,7 @@ class JointFiles(ArrayFiles):
         return table
 
 
-class Pose(Files):
+class MatrixFiles(Files):
     """A file that holds the matrix of a camera's place: NPY, NPZ, MAT, JSON, or numbers as text."""
 
 
@@ -283,8 +283,8 @@ class CameraKeys(LayoutKeys):
     cx: float | None = Field(None, description="Principal point (px); an integer is a pixel's middle.")
     cy: float | None = Field(None, description="Principal point (px).")
     dist: Distortion = Field((0.0, 0.0, 0.0, 0.0, 0.0), description="OpenCV's k1 k2 p1 p2 k3.")
-    world_from_camera: Matrix | Pose | None = Field(None, description="Rows of the matrix (3 or 4 of 4), or its file.")
-    camera_from_world: Matrix | Pose | None = Field(None, description="The other way round.")
+    world_from_camera: Matrix | MatrixFiles | None = Field(None, description="Rows of the matrix (3 or 4 of 4), or its file.")
+    camera_from_world: Matrix | MatrixFiles | None = Field(None, description="The other way round.")
     unit: Unit = Field("m", description="Of the matrix' translation.")
     world: Literal["lab", "vehicle"] = Field("lab", description="vehicle: the world is ISO 8855's frame, and the matrix is kept.")
 
@@ -298,7 +298,7 @@ class CameraKeys(LayoutKeys):
         return self
 
 
-class Layout(LayoutKeys):
+class FolderLayout(LayoutKeys):
     """A layout file."""
 
     licence: str = Field("unknown", description="Licence of the data.")
@@ -343,7 +343,7 @@ class Layout(LayoutKeys):
         return tuple(dict.fromkeys((*self.depth.fields, "frame")))
 
     @classmethod
-    def read(cls, path: Path) -> Layout:
+    def read(cls, path: Path) -> FolderLayout:
         """The layout of a file. Raises ConfigError that names the file and the key."""
         data = read_mapping(path, hint=HINT)
         try:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cabinpose.core import Camera, ConfigError, DatasetError, Visibility
 from cabinpose.store.convert.depth_images import step_m
-from cabinpose.store.convert.layout import JointFiles, Layout, RowValues, state_of, turned
+from cabinpose.store.convert.layout import FolderLayout, JointFiles, RowValues, state_of, turned
 from cabinpose.store.convert.layout_files import Finder, FoundFile, Key, array, as_number, of_frame, within
 from cabinpose.store.convert.reading import read_json
 
@@ -49,7 +49,7 @@ class JointReader:
     joints: (J,) positions of the joints in `spec.skeleton`, in the order of `LaidPerson`.
     """
 
-    def __init__(self, root: Path, layout: Layout, spec: JointFiles) -> None:
+    def __init__(self, root: Path, layout: FolderLayout, spec: JointFiles) -> None:
         self._spec, self._finder = spec, Finder(root, spec, "joints", several="place")
         self.joints = np.array(spec.skeleton.indices(list(spec.called)), np.int64)
         self._states = {_text(text): state_of(name) for text, name in spec.states.items()}
@@ -150,7 +150,7 @@ def _text(value: Any) -> str:
 # ------------------------------------------------------------------------------------------------------------- rows
 
 
-class _Row:
+class _TableRow:
     """A row of CSV by its columns, or an object of JSON by names between /; errors name the file and the row."""
 
     def __init__(self, where: str, data: Any, *, columns: bool) -> None:
@@ -202,7 +202,7 @@ class _Row:
         return DatasetError(f"{self._where}: {name} is {str(value)[:40]!r}", hint=_ROW_HINT)
 
 
-def _rows(path: Path, spec: JointFiles) -> Iterator[_Row]:
+def _rows(path: Path, spec: JointFiles) -> Iterator[_TableRow]:
     if path.suffix.lower() == ".json":
         try:
             data = within(read_json(path), spec.rows)
@@ -211,7 +211,7 @@ def _rows(path: Path, spec: JointFiles) -> Iterator[_Row]:
                 f"{path} has nothing under '{spec.rows}'", hint="`rows` of the layout names the list of rows"
             ) from error
         for number, row in enumerate(data if isinstance(data, list) else [data]):
-            yield _Row(f"{path}, row {number}", row, columns=False)
+            yield _TableRow(f"{path}, row {number}", row, columns=False)
         return
     if path.suffix.lower() not in (".csv", ".txt", ".tsv"):
         raise DatasetError(f"{path} holds no rows", hint="rows are of CSV or JSON; of an array leave out joints.values")
@@ -219,7 +219,7 @@ def _rows(path: Path, spec: JointFiles) -> Iterator[_Row]:
         text = path.read_text(encoding="utf-8-sig")
         dialect = csv.Sniffer().sniff(text.partition("\n")[0], delimiters=",;\t")
         for row in csv.DictReader(text.splitlines(), dialect=dialect, strict=True):
-            yield _Row(f"{path}, row {','.join(map(str, [*row.values()][:2]))}", row, columns=True)
+            yield _TableRow(f"{path}, row {','.join(map(str, [*row.values()][:2]))}", row, columns=True)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DatasetError(
             f"cannot read the table {path}: {error}", hint="columns are divided by , ; or tabs, names first"
@@ -261,7 +261,7 @@ def _rows_by_frame(spec: JointFiles, match: tuple[str, ...], path: Path) -> dict
     return found
 
 
-def _whole(row: _Row, values: RowValues, spec: JointFiles, joints: Sequence[tuple[str, str | int]]) -> tuple[F64, list[str]]:
+def _whole(row: _TableRow, values: RowValues, spec: JointFiles, joints: Sequence[tuple[str, str | int]]) -> tuple[F64, list[str]]:
     """(J, 3) positions and (J,) states of a row that has all of somebody's joints.
 
     Joints that it lacks are not known, unless the layout names them.
@@ -288,7 +288,7 @@ def _whole(row: _Row, values: RowValues, spec: JointFiles, joints: Sequence[tupl
     return xyz, states if values.visibility else []
 
 
-def _position(row: _Row, values: RowValues, joint: str) -> F64:
+def _position(row: _TableRow, values: RowValues, joint: str) -> F64:
     """(3,) a joint's numbers; z NaN where there is none."""
     if values.xyz:
         numbers = row.numbers(values.xyz.replace("{joint}", joint)).ravel()
