@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -23,7 +24,7 @@ import numpy as np
 from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, draw, opened
 from cabinpose.core import ConfigError, make_folder, read_arrays, whole_file, write_whole
 from cabinpose.evaluate import EvaluationOptions, ModelErrors, clusters_of, errors_of, joined_errors, samples_of
-from cabinpose.store import MANIFEST_NAME
+from cabinpose.store import MANIFEST_NAME, read_manifest
 from cabinpose.synth import Existing, SynthConfig, generate
 
 RECORD = "cell.json"  # of a cell that is whole
@@ -93,7 +94,7 @@ class ExperimentCell(ABC):
 
 @dataclass(frozen=True)
 class DataCell(ExperimentCell):
-    """A stand-in is generated, on one thread."""
+    """A stand-in is generated, or recorded in the virtual laboratory, on one thread."""
 
     piece: DatasetPiece
 
@@ -107,11 +108,22 @@ class DataCell(ExperimentCell):
         return self.piece.frames
 
     def _made(self) -> dict[str, Any]:
+        if self.piece.recorded:
+            return self._recorded()
         config = SynthConfig.model_validate_json(self.piece.config)
         piece, begun = self.piece, (self.piece.folder / MANIFEST_NAME).exists()
         existing: Existing = "resume" if begun else "refuse"
         report = generate(config, piece.frames, piece.folder, seed=piece.seed, workers=1, existing=existing)
         return {"frames": report.frames_total}
+
+    def _recorded(self) -> dict[str, Any]:
+        from cabinpose.app.lab.filmed import FilmedSession, record_films  # noqa: PLC0415 - its libraries, for those who record
+
+        recordings = self.folder / "recordings"
+        if not (self.piece.folder / MANIFEST_NAME).exists():
+            record_films(FilmedSession.model_validate_json(self.piece.config), recordings, self.piece.folder)
+        shutil.rmtree(recordings, ignore_errors=True)
+        return {"frames": read_manifest(self.piece.folder).frames}
 
 
 @dataclass(frozen=True)
