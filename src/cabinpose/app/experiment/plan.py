@@ -27,7 +27,7 @@ from cabinpose.evaluate import ALL, ModelErrors
 from cabinpose.store import validated
 
 FRAME_S = 0.1  # CPU seconds that a generated frame is expected to take, and one that a model answers for
-RECORDED_S = 0.2  # and one that the virtual laboratory records
+RECORDED_S = 0.25  # and one that the virtual laboratory records
 _NAMES = 5  # of people in a message
 
 
