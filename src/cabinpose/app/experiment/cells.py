@@ -15,7 +15,6 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,7 @@ _MODELS = ("model.onnx", "best.npz")
 @cache
 def code_state() -> str:
     """A checksum of the package's modules: cells that were made by different ones are told apart in reports."""
-    package = Path(str(files("cabinpose")))
+    package = Path(__file__).parents[2]  # of an editable install `files` names no single folder
     found = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".so", ".pyd"))
     total = hashlib.sha256()
     for path in found:
