@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
+from cabinpose.app.experiment import measure
 from cabinpose.app.experiment.config import (
     Curve,
     Data,
@@ -312,3 +314,76 @@ def test_only_what_is_named_and_what_it_needs(tmp_path: Path) -> None:
     assert all(cell in plan.chosen([cell.name]) for cell in plan.cells)
     assert [cell.name for cell in plan.chosen(["synthetic"])] == ["data synthetic"]
     assert frames_of(plan.trained["R10"][0], "synthetic") == 2520
+
+
+def _in_the_laboratory(**camera: Any) -> dict[str, Any]:
+    scenes = {
+        "scene": {"sequence": {"frames": 12, "rate_hz": 5, "activities": ["steer", "operate"]}},
+        "camera": {"jitter_m": 0.0, "jitter_deg": 0.0, **camera},
+    }
+    return {"data": {"real": {"lab": {"rig": {"suit_errors": {"length_error": 0.0}}}, "synth": scenes}}}
+
+
+def test_a_stand_in_may_be_recorded_in_the_laboratory(write: Write, tmp_path: Path) -> None:
+    """One session of all subjects, of whom each has the frames that are asked for; another rig is another dataset."""
+    plan = make_plan(load(write(_in_the_laboratory())), "paper", tmp_path, {})
+    (piece,) = plan.data["real"]
+    assert piece.recorded == {"P1": 4, "P2": 2, "P3": 3}
+    assert (piece.most(()), piece.most(("P1", "P3")), piece.people) == (9, 7, {("P1", None), ("P2", None), ("P3", None)})
+    other = _in_the_laboratory()
+    other["data"]["real"]["lab"]["rig"]["suit_errors"]["length_error"] = 0.01
+    assert make_plan(load(write(other)), "paper", tmp_path, {}).data["real"][0].key != piece.key
+    too_many = _in_the_laboratory() | {"tests": {"T": {"frames": [{"data": "real", "subject": ["P3"], "frames": 4}]}}}
+    with pytest.raises(ConfigError, match="4 frames of real are asked for, and the selection has 3"):
+        make_plan(load(write(too_many)), "paper", tmp_path, {})
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (_in_the_laboratory(jitter_m=0.01), "the laboratory's camera stays where it is"),
+        ({"data": {"real": {"lab": {}}}}, "the laboratory records sequences in one car"),
+        ({"data": {"real": {"lab": {}, "frames": None}}}, "the laboratory records one subject after the other"),
+        (
+            {
+                "data": {
+                    "real": {
+                        "lab": {"rig": {"nothing": 1}},
+                        **_in_the_laboratory()["data"]["real"],
+                    }
+                }
+            },
+            "",
+        ),
+    ],
+)
+def test_what_the_laboratory_cannot_record_is_refused(changes: dict[str, Any], told: str, write: Write, tmp_path: Path) -> None:
+    if not told:
+        changes["data"]["real"]["lab"] = {"rig": {"nothing": 1}}
+        told = "nothing"
+    with pytest.raises(ConfigError, match=told):
+        make_plan(load(write(changes)), "paper", tmp_path, {})
+
+
+def test_the_time_is_measured_of_each_recipe_once(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames times a frame's, samples times a sample's; two repeats, and two people of one dataset, are of one recipe."""
+    changes = {"scales": {"paper": {"steps": 4, "epochs": 2, "sample_s": 0.01, "repeats": 2}}}
+    plan = make_plan(load(write(changes)), "paper", tmp_path, {})
+    generated, trained = [], []
+
+    def made(config: Any, frames: int, out: Path, **rest: Any) -> Any:
+        generated.append(out)
+        return SimpleNamespace(stages_ms={"render": 30.0, "sensor": 20.0})
+
+    def sample_s(cell: Any, *rest: Any) -> float:
+        trained.append(cell)
+        return 0.04
+
+    monkeypatch.setattr(measure, "generate", made)
+    monkeypatch.setattr(measure, "_sample_s", sample_s)
+    found = measure.measured_s(plan)
+    assert (len(generated), len(trained)) == (1, 1)
+    frames = {cell.name: found[cell.key] / cell.frame_count for cell in plan.made}
+    assert frames == pytest.approx(dict.fromkeys(frames, 0.05))
+    for cell in plan.trained["R1"]:
+        assert found[cell.key] == pytest.approx(4 * cell.expected_s)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -54,9 +55,13 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     assert "real is a stand-in, generated, for recordings of three people" in text
     assert "published 13.47" in text
     assert all(f"<title>{name}</title>" in text for name in ("R1", "Head", "Wrist"))  # lines of the charts
-    assert {p.name for p in page.parent.iterdir()} == {
-        "index.html", "table.md", "table.csv", "report.json", "experiment.json", "accuracy-T.png",
-    }  # fmt: skip
+    charts = {f"{name}.{kind}" for name in ("accuracy-T", "joints-T-R1", "training-R1") for kind in ("png", "svg")}
+    files = {"index.html", "table.md", "table.csv", "report.json", "experiment.json"} | charts
+    sheets = {p.name for p in page.parent.iterdir()} - files
+    assert files <= {p.name for p in page.parent.iterdir()}
+    assert sheets <= {f"frames-T-{kind}.png" for kind in ("good-frames", "one-joint-fails", "a-body-fails")}
+    assert sheets  # frames are good, or something in them fails: here nobody has learnt much
+    assert ET.parse(page.parent / "accuracy-T.svg").getroot().tag.endswith("svg")
     numbers = json.loads((page.parent / "report.json").read_text())["numbers"]
     assert 0.0 <= numbers["R1: PCKh@0.5"]["value"] <= 100.0
     errors = next(each for each in plan_of(write, tmp_path).tested.values())[0].errors()[0].error_m

@@ -22,6 +22,9 @@ from .generate import GenerationReport as GenerationReport
 from .generate import Progress as Progress
 from .generate import generate as generate
 from .motion.config import SequenceConfig as SequenceConfig
+from .motion.film import Film as Film
+from .motion.track import Pose as Pose
+from .motion.track import Track as Track
 from .occupant import ExactPose as ExactPose
 from .occupant import ExactThing as ExactThing
 from .occupant import Occupant as Occupant

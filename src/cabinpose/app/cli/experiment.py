@@ -64,6 +64,8 @@ class Show(PrintsJson):
     """Folders of your own datasets in place of those that the file names."""
     out: Path = Path("experiments")
     """Folder of cells, to say which of them are there."""
+    measure: bool = False
+    """Measure the CPU time: a few generated frames, and a few steps of training, of each distinct recipe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,15 +222,22 @@ def _show(command: Show) -> None:
     plan, _ = _planned(command.name, command.scale, command.data, command.out)
     cells = plan.cells
     kinds = [_KINDS[0 if isinstance(c, DataCell) else 2 if isinstance(c, TestCell) else 1] for c in cells]
-    total = sum(cell.expected_s for cell in cells)
-    left = sum(cell.expected_s for cell in cells if not cell.done)
+    expected = {cell.key: cell.expected_s for cell in cells}
+    if command.measure:
+        require("train")
+        from cabinpose.app.experiment.measure import measured_s
+
+        with progress() as shown:
+            expected = measured_s(plan, lambda name: shown.phase(f"measuring {name}"))
+    total = sum(expected[cell.key] for cell in cells)
+    left = sum(expected[cell.key] for cell in cells if not cell.done)
     if command.as_json:
         told = [
             {
                 "cell": c.name,
                 "kind": kind,
                 "frames": c.frame_count,
-                "cpu_s": c.expected_s,
+                "cpu_s": expected[c.key],
                 "done": c.done,
                 "folder": str(c.folder),
             }
@@ -240,7 +249,7 @@ def _show(command: Show) -> None:
     rows = [["cell", "kind", "frames", "CPU s expected", ""]]
     for cell, kind in zip(cells, kinds, strict=True):
         took = f"there, took {cell.record['cpu_s']:.0f}" if cell.done else ""
-        rows.append([cell.name, kind, str(cell.frame_count), f"{cell.expected_s:.0f}", took])
+        rows.append([cell.name, kind, str(cell.frame_count), f"{expected[cell.key]:.0f}", took])
     print_table(rows, words=(0, 1, 4))
     for name, other in same_cells([cell for each in plan.trained.values() for cell in each]).items():
         print(f"{name} is {other} at this scale")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -14,7 +15,6 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, draw, opened
 from cabinpose.core import ConfigError, make_folder, read_arrays, whole_file, write_whole
 from cabinpose.evaluate import EvaluationOptions, ModelErrors, clusters_of, errors_of, joined_errors, samples_of
-from cabinpose.store import MANIFEST_NAME
+from cabinpose.store import MANIFEST_NAME, read_manifest
 from cabinpose.synth import Existing, SynthConfig, generate
 
 RECORD = "cell.json"  # of a cell that is whole
@@ -34,7 +34,7 @@ _MODELS = ("model.onnx", "best.npz")
 @cache
 def code_state() -> str:
     """A checksum of the package's modules: cells that were made by different ones are told apart in reports."""
-    package = Path(str(files("cabinpose")))
+    package = Path(__file__).parents[2]  # of an editable install `files` names no single folder
     found = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".so", ".pyd"))
     total = hashlib.sha256()
     for path in found:
@@ -93,7 +93,7 @@ class ExperimentCell(ABC):
 
 @dataclass(frozen=True)
 class DataCell(ExperimentCell):
-    """A stand-in is generated, on one thread."""
+    """A stand-in is generated, or recorded in the virtual laboratory, on one thread."""
 
     piece: DatasetPiece
 
@@ -107,11 +107,22 @@ class DataCell(ExperimentCell):
         return self.piece.frames
 
     def _made(self) -> dict[str, Any]:
+        if self.piece.recorded:
+            return self._recorded()
         config = SynthConfig.model_validate_json(self.piece.config)
         piece, begun = self.piece, (self.piece.folder / MANIFEST_NAME).exists()
         existing: Existing = "resume" if begun else "refuse"
         report = generate(config, piece.frames, piece.folder, seed=piece.seed, workers=1, existing=existing)
         return {"frames": report.frames_total}
+
+    def _recorded(self) -> dict[str, Any]:
+        from cabinpose.app.lab.filmed import FilmedSession, record_films  # noqa: PLC0415 - its libraries, for those who record
+
+        recordings = self.folder / "recordings"
+        if not (self.piece.folder / MANIFEST_NAME).exists():
+            record_films(FilmedSession.model_validate_json(self.piece.config), recordings, self.piece.folder)
+        shutil.rmtree(recordings, ignore_errors=True)
+        return {"frames": read_manifest(self.piece.folder).frames}
 
 
 @dataclass(frozen=True)

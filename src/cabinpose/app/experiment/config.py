@@ -26,11 +26,19 @@ class Keys(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+class Laboratory(Keys):
+    """How the virtual laboratory records the scenes of a stand-in."""
+
+    rig: Mapping[str, Any] = Field({}, description="Keys of a rig of `lab` that are otherwise: errors, clocks.")
+    views: int = Field(24, ge=6, description="Poses of the checkerboard by which it is calibrated.")
+
+
 class Data(Keys):
     """A dataset: a folder, or a stand-in that is generated."""
 
     folder: Path | None = Field(None, description="Folder of a dataset; relative to the file.")
     synth: Mapping[str, Any] | None = Field(None, description="Configuration of the scenes of a stand-in, as of `synth`.")
+    lab: Laboratory | None = Field(None, description="The scenes of `synth` are recorded in the virtual laboratory.")
     seed: int = Field(0, ge=0, description="Seed of a stand-in.")
     frames: Positive | Mapping[str, Positive] | None = Field(
         None, description="Of a stand-in: in all, or by subject; left out: all of scene.factorial."
@@ -42,6 +50,8 @@ class Data(Keys):
     def _one_source(self) -> Self:
         if (self.folder is None) == (self.synth is None):
             raise ConfigError("a dataset is a folder or a stand-in", hint="give one of folder and synth")
+        if self.lab is not None and not isinstance(self.frames, Mapping):
+            raise ConfigError("the laboratory records one subject after the other", hint="give `frames` by subject, and `synth`")
         if unknown := [name for name in self.changes if not isinstance(self.frames, Mapping) or name not in self.frames]:
             raise unknown_name("subject", unknown[0], list(self.frames) if isinstance(self.frames, Mapping) else [])
         return self

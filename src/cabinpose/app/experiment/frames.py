@@ -7,7 +7,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose import __version__
-from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameSelection, RunScale, Training, merged
+from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameSelection, Laboratory, RunScale, Training, merged
+from cabinpose.app.extras import require
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
-from cabinpose.store import dataset_id, draw_rng, frame_mask, open_dataset, read_manifest
+from cabinpose.store import dataset_id, draw_rng, frame_mask, open_dataset, read_manifest, validated
 from cabinpose.synth import CabinScene, SequenceConfig, SynthConfig, is_random_car
 
 Identity = tuple[str, int | None]
@@ -33,7 +34,8 @@ class DatasetPiece:
     """A dataset folder: a user's, or a stand-in that is generated.
 
     name: of the dataset, and of the subject whose frames alone it has · key: of what is in it · people, cars: who and what may be
-    in it · config: of a stand-in, as JSON; "" for a folder of the user's.
+    in it · config: of a stand-in, as JSON; "" for a folder of the user's · recorded: frames by subject of one that the virtual
+    laboratory records, which its configuration is of.
     """
 
     name: str
@@ -44,6 +46,13 @@ class DatasetPiece:
     cars: frozenset[Identity]
     config: str = ""
     seed: int = 0
+    recorded: Mapping[str, int] = field(default_factory=dict, hash=False)
+
+    def most(self, subjects: Sequence[str]) -> int:
+        """The frames of some subjects, () = all, as far as they are known to be told apart."""
+        return (
+            sum(self.recorded[name] for name in subjects if name in self.recorded) if self.recorded and subjects else self.frames
+        )
 
 
 Drawn = list[tuple[DatasetPiece, NDArray[np.int64]]]
@@ -76,7 +85,9 @@ class SelectedFrames:
     def most(self) -> int:
         """No selection can have more frames than this; of a user's folder just as many."""
         selection = tuple(self.part.selection.items())
-        return sum(p.frames if p.config or not selection else _count(p.folder, p.key, selection) for p in self._asked)
+        return sum(
+            p.most(self.part.subject) if p.config or not selection else _count(p.folder, p.key, selection) for p in self._asked
+        )
 
     @property
     def _asked(self) -> list[DatasetPiece]:
@@ -173,6 +184,8 @@ def pieces_of(name: str, data: Data, scale: RunScale, wanted: Wanted, given: Pat
                 who = [subject for subject in scaled if not subjects or subject in subjects]
                 if count > sum(scaled[subject] for subject in who):
                     scaled |= {subject: max(scaled[subject], -(-count // len(who))) for subject in who}
+        if data.lab is not None:
+            return (_recording(name, data, data.lab, scaled, out),)
         return tuple(
             _stand_in(f"{name}/{subject}", _of_subject(name, data, subject), frames, data.seed + number, out)
             for number, (subject, frames) in enumerate(scaled.items())
@@ -235,6 +248,34 @@ def _stand_in(name: str, config: SynthConfig, frames: int, seed: int, out: Path)
     return DatasetPiece(
         name, out / "data" / key, key, frames, frozenset(named | crowd), frozenset(cars), text, seed
     )  # fmt: skip
+
+
+def _recording(name: str, data: Data, lab: Laboratory, frames: Mapping[str, int], out: Path) -> DatasetPiece:
+    """A stand-in that the virtual laboratory records: all subjects in one session, the first activity another for each."""
+    require("record")
+    from cabinpose.app.lab.filmed import FilmedSession, FilmedSubject  # noqa: PLC0415 - its libraries, for those who record
+
+    subjects, cars = {}, set[Identity]()
+    for number, (subject, count) in enumerate(frames.items()):
+        config = _of_subject(name, data, subject)
+        scene, camera = config.scene, config.camera
+        if not isinstance(scene, CabinScene) or scene.sequence is None or len(scene.cars) != 1 or scene.random_cars:
+            raise ConfigError(
+                f"data.{name}: the laboratory records sequences in one car", hint="give scene.sequence and one of cars"
+            )
+        if len(camera.views) != 1 or camera.jitter_m or camera.jitter_deg:
+            hint = "give one view, and camera.jitter_m and camera.jitter_deg: 0"
+            raise ConfigError(f"data.{name}: the laboratory's camera stays where it is", hint=hint)
+        many = len(scene.sequence.activities or ())
+        first = number * many // len(frames)
+        subjects[subject] = FilmedSubject(scenes=config, seed=data.seed + number, frames=count, first=first)
+        cars |= {_car(car if isinstance(car, str) else car.name, data.seed) for car in scene.cars}
+    asked = {"subjects": subjects, "views": lab.views, "seed": data.seed, **({"rig": dict(lab.rig)} if lab.rig else {})}
+    session = validated(FilmedSession, asked, None, hint=f"data.{name}.lab: docs/experiments.md lists the keys")
+    text = session.model_dump_json()
+    key, people = digest({"lab": text}), frozenset((subject, None) for subject in frames)
+    whole = sum(frames.values())
+    return DatasetPiece(name, out / "data" / key, key, whole, people, frozenset(cars), text, data.seed, dict(frames))
 
 
 def _car(name: str, seed: int) -> Identity:

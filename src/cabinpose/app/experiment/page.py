@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from cabinpose.app.experiment.cells import code_state
 from cabinpose.app.experiment.config import file_name
+from cabinpose.app.experiment.examples import RULE, ShownFrames, shown_frames
 from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
 from cabinpose.app.experiment.results import Lines, Results, cell_text, cost_rows, csv_text, frames_of, losses, table_rows
 from cabinpose.app.finite import finite
 from cabinpose.app.report.charts import ValueScale, charts, legend, series_chart
-from cabinpose.app.report.html import Html, document, el, join, remark, section, table, with_small
-from cabinpose.app.report.raster import curves_chart, write_png
+from cabinpose.app.report.html import Html, document, el, figure, join, remark, section, table, with_small
+from cabinpose.app.report.raster import curves_chart, write_grid, write_png, write_svg
 from cabinpose.core import ConfigError, make_folder, write_together
 
 PLAN = "experiment.json"
@@ -24,6 +25,7 @@ _INTERVALS = (
     "narrower than an interval of confidence. Mean errors are of the joints that were found, whose share stands below them. "
     "Published figures are of the source's own frames: they stand beside ours to be seen, and are no target."
 )
+_ACROSS = 4  # frames of a contact sheet
 _NAMES = 8  # of cells in a line
 _LOSSES = ("training loss", "validation loss")
 
@@ -31,20 +33,34 @@ _LOSSES = ("training loss", "validation loss")
 def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: dict[str, object]) -> None:
     """Write index.html, table.md, table.csv, report.json, pictures, and what was asked for, with which the page is made again."""
     make_folder(folder)
-    rows = table_rows(plan, results)
+    rows, shown = table_rows(plan, results), shown_frames(plan, results)
     numbers = {f"{row}: {title}": None if n is None else n._asdict() for (row, title), n in results.numbers.items()}
     files = {
-        "index.html": page_html(plan, results),
+        "index.html": page_html(plan, results, shown),
         "table.md": markdown(plan, rows),
         "table.csv": csv_text(plan, results),
         "report.json": json.dumps(finite({"title": plan.experiment.title, "numbers": numbers}), allow_nan=False, indent=1) + "\n",
         PLAN: _asked_text(asked),
     }
     write_together(folder, files)
+    for name, chart, lines in _drawn_charts(plan, results):
+        write_png(folder / f"{name}.png", [chart], lines)
+        write_svg(folder / f"{name}.svg", chart, lines)
+    for (test, kind), frames in shown.items():
+        write_grid(folder / f"frames-{file_name(test)}-{file_name(kind)}.png", [frame for frame, _ in frames], _ACROSS)
+
+
+def _drawn_charts(plan: ExperimentPlan, results: Results) -> Iterator[tuple[str, Html, Iterable[str]]]:
+    """The charts that are files as well: what each is called, the chart, and what its colours stand for."""
     for test, lines in results.accuracy.items():
-        write_png(folder / f"accuracy-{file_name(test)}.png", [_accuracy(test, lines)], lines)
+        yield f"accuracy-{file_name(test)}", _accuracy(test, lines), lines
+    for (test, row), lines in results.by_joint.items():
+        yield f"joints-{file_name(test)}-{file_name(row)}", _by_joint(test, row, lines), lines
     for title, lines in results.curves.items():
-        write_png(folder / f"curve-{file_name(title)}.png", [_over_count(title, lines)], lines)
+        yield f"curve-{file_name(title)}", _over_count(title, lines), lines
+    for row, cells in plan.trained.items():
+        if rows := losses(cells[0]):
+            yield f"training-{file_name(row)}", curves_chart(rows, None, "", False), _LOSSES
 
 
 def is_written(folder: Path, asked: dict[str, object]) -> bool:
@@ -82,7 +98,8 @@ def remarks(plan: ExperimentPlan) -> list[str]:
     for name, pieces in plan.data.items():
         if any(piece.config for piece in pieces):
             what = experiment.data[name].stands_for
-            meant = f"a stand-in, generated, for {what}: figures on it say nothing of those frames" if what else "generated"
+            made = "recorded in the virtual laboratory" if experiment.data[name].lab is not None else "generated"
+            meant = f"a stand-in, {made}, for {what}: figures on it say nothing of those frames" if what else made
             told.append(f"{name} is {meant}")
     for name, row in experiment.trainings.items():
         if row.may_share:
@@ -102,7 +119,7 @@ def remarks(plan: ExperimentPlan) -> list[str]:
     return told
 
 
-def page_html(plan: ExperimentPlan, results: Results) -> str:
+def page_html(plan: ExperimentPlan, results: Results, shown: ShownFrames) -> str:
     """The page."""
     experiment = plan.experiment
     notes = join(el("p", el("b", told)) for told in remarks(plan))
@@ -110,6 +127,7 @@ def page_html(plan: ExperimentPlan, results: Results) -> str:
         section("What to know first", notes + remark(experiment.about)),
         section("Table", _table(plan, results), _INTERVALS),
         section("Accuracy over thresholds", _accuracies(results), "Per cent of all joints within a part of the head size."),
+        section("Frames of the tests", _frames_shown(shown), RULE),
         section("Over numbers of frames", _over_frames(results)),
         section("Training", _losses(plan), "Training loss, blue, and validation loss, red, of the first repeat."),
         section("Frames", table(_frame_rows(plan))),
@@ -143,16 +161,24 @@ def _accuracy(test: str, lines: Lines) -> Html:
     return series_chart(test, "head sizes", lines, scale=ValueScale(top=100.0), size=(640, 300))
 
 
+def _by_joint(test: str, row: str, lines: Lines) -> Html:
+    return series_chart(f"{row} on {test}", "head sizes", lines, scale=ValueScale(top=100.0))
+
+
+def _frames_shown(shown: ShownFrames) -> str:
+    return join(
+        join((el("h3", f"{test}: {kind}"), el("div", *(figure(*frame) for frame in frames), class_="frames")))
+        for (test, kind), frames in shown.items()
+    )
+
+
 def _accuracies(results: Results) -> str:
     names: Iterable[str] = dict.fromkeys(name for lines in results.accuracy.values() for name in lines)
     drawn = [_accuracy(test, lines) for test, lines in results.accuracy.items()]
     if not drawn:
         return ""
     groups: Iterable[str] = dict.fromkeys(name for lines in results.by_joint.values() for name in lines)
-    each = [
-        series_chart(f"{row} on {test}", "head sizes", lines, scale=ValueScale(top=100.0))
-        for (test, row), lines in results.by_joint.items()
-    ]
+    each = [_by_joint(test, row, lines) for (test, row), lines in results.by_joint.items()]
     return legend(names) + charts(drawn, "two") + el("h3", "By joint") + legend(groups) + charts(each)
 
 

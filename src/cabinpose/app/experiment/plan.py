@@ -27,6 +27,7 @@ from cabinpose.evaluate import ALL, ModelErrors
 from cabinpose.store import validated
 
 FRAME_S = 0.1  # CPU seconds that a generated frame is expected to take, and one that a model answers for
+RECORDED_S = 0.25  # and one that the virtual laboratory records
 _NAMES = 5  # of people in a message
 
 
@@ -156,7 +157,8 @@ class _Planner:
     def made(self, piece: DatasetPiece) -> DataCell:
         """The cell that generates a stand-in; its record lies beside the dataset."""
         folder = self._out / "made" / piece.key
-        return DataCell(f"data {piece.name}", piece.key, folder, (), piece.frames * FRAME_S, piece)
+        expected_s = piece.frames * (RECORDED_S if piece.recorded else FRAME_S)
+        return DataCell(f"data {piece.name}", piece.key, folder, (), expected_s, piece)
 
     def training(self, name: str, row: Training) -> tuple[list[TrainCell], list[TrainCell]]:
         """The cells of a row, one a repeat, and those that come before them where it is tuned."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from cabinpose.app.lab.plan import (
     pose_take,
 )
 from cabinpose.app.lab.rig import VirtualRig
+from cabinpose.app.lab.suit import hand_offset
 from cabinpose.app.lab.takes import (
     Actor,
     Truth,
@@ -39,7 +40,7 @@ from cabinpose.app.lab.takes import (
     write_pair_take,
     write_pose_take,
 )
-from cabinpose.core import ConfigError, invert, make_folder, write_whole
+from cabinpose.core import ConfigError, Matrix, invert, make_folder, write_whole
 from cabinpose.store import read_mapping, validated
 
 
@@ -84,11 +85,12 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
         pair = actors[0], actors[1].moved_to("front_passenger", rng=drawn(9))
         write_pair_take(folder / PAIR, rig, pair, plan.seconds, rate_hz=plan.rate_hz, rng=drawn(10))
         report(plan.steps)
-    _write_session(folder, rig, board, actors, truths)
+    # the car stands where the first drive has it, and stays there
+    write_session(folder, rig, board, actors, invert(next(iter(truths.values())).world_from_scene))
     return truths
 
 
-def _write_session(folder: Path, rig: VirtualRig, board: Board, actors: Sequence[Actor], truths: Mapping[str, Truth]) -> None:
+def write_session(folder: Path, rig: VirtualRig, board: Board, actors: Sequence[Actor], vehicle_from_world: Matrix) -> None:
     """The session as a user would write it: what can be measured with a ruler is given, everything else is to be found."""
 
     def measured(p: NDArray[np.float64]) -> list[float]:
@@ -102,8 +104,8 @@ def _write_session(folder: Path, rig: VirtualRig, board: Board, actors: Sequence
         "subjects": {
             actor.code: {
                 "take": head_take(actor.code),
-                "head_offset_m": measured(truths[actor.code].object_from_head[:3, 3]),
-                "hands_m": [measured(hand) for hand in truths[actor.code].hands],
+                "head_offset_m": measured(actor.cap.object_from_head[:3, 3]),
+                "hands_m": [measured(hand_offset(actor.person, side)) for side in "lr"],
                 "suit": actor.suit,
                 "head_object": actor.head,
                 "pose_take": pose_take(actor.code),
@@ -112,8 +114,7 @@ def _write_session(folder: Path, rig: VirtualRig, board: Board, actors: Sequence
             }
             for actor in actors
         },
-        # the car stands where the first drive has it, and stays there
-        "vehicle_from_world": invert(next(iter(truths.values())).world_from_scene).tolist(),
+        "vehicle_from_world": vehicle_from_world.tolist(),
     }
     if rig.tracker is not None:
         session["names"] = {"tracker": "tracker"}

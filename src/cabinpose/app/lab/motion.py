@@ -8,6 +8,7 @@ box in them, so what lies between two keys within the limits is within them too.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -71,8 +72,52 @@ class Window:
     end_s: float
 
 
+class PersonMotion(ABC):
+    """One person's motion in the scene's frame (the vehicle's, or a room's with z up and the floor at 0), by times in s.
+
+    slot, cabin, settings: the seat and the car, None in a room · windows: labelled spans.
+    """
+
+    person: Person
+    windows: tuple[Window, ...]
+    slot: str
+    cabin: Cabin | None
+    settings: Mapping[str, SeatSetting]
+
+    @property
+    @abstractmethod
+    def duration_s(self) -> float:
+        """When it ends."""
+
+    @abstractmethod
+    def key_at(self, time_s: float) -> str:
+        """What the person does at a time."""
+
+    @abstractmethod
+    def pose_at(self, time_s: ArrayLike) -> tuple[F64, Matrix, F64]:
+        """q (T, D) rad, scene_from_root (T, 4, 4) and wheel angle (T,) rad at times (T,)."""
+
+    @abstractmethod
+    def body(self, time_s: float) -> PosedBody:
+        """The posed, skinned body at a time."""
+
+    def bones(self, time_s: ArrayLike) -> tuple[F64, F64]:
+        """Rotation (T, 23, 3, 3) and origin (T, 23, 3) m of the main bones of `rig.MAIN_BONES`, scene frame."""
+        q, root, _ = self.pose_at(time_s)
+        frames = [main_frames(q[k], self.person.rest, root[k]) for k in range(len(q))]
+        return np.stack([rotation for rotation, _ in frames]), np.stack([position for _, position in frames])
+
+    def joints(self, time_s: ArrayLike) -> F64:
+        """(T, 20, 3) m: the joints of `core.skeleton.JOINTS`, scene frame."""
+        rotation, position = self.bones(time_s)
+        out = np.empty((len(rotation), len(JOINTS), 3))
+        for k in range(len(out)):
+            native.joint_positions(self.person.rest, rotation[k], position[k], out[k])
+        return out
+
+
 @dataclass(frozen=True, eq=False)
-class KeyedMotion:
+class KeyedMotion(PersonMotion):
     """One person's motion in the scene's frame (the vehicle's, or a room's with z up and the floor at 0).
 
     Key k is held from arrive_s[k] to leave_s[k] (K,), rising · q: (K, D) rad in the order of `DOFS` · root: (K, 4, 4)
@@ -120,6 +165,12 @@ class KeyedMotion:
         before, after, s = self._between_keys(time_s)
         return np.asarray(self.fingers[before] + s[:, None, None] * (self.fingers[after] - self.fingers[before]))
 
+    def body(self, time_s: float) -> PosedBody:
+        """The posed, skinned body at a time."""
+        q, root, _ = self.pose_at(time_s)
+        fingers = self.fingers_at(time_s)
+        return self.person.pose(q[0], root[0], None if fingers is None else fingers[0])
+
     def _between_keys(self, time_s: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64], F64]:
         """Numbers (T,) of the keys before and after times (T,), and the share (T,) of the way from the one to the other."""
         t = np.atleast_1d(np.asarray(time_s, np.float64))
@@ -130,26 +181,6 @@ class KeyedMotion:
         s = x**3 * (10.0 + x * (6.0 * x - 15.0))
         s[after == before] = 0.0
         return before, after, s
-
-    def bones(self, time_s: ArrayLike) -> tuple[F64, F64]:
-        """Rotation (T, 23, 3, 3) and origin (T, 23, 3) m of the main bones of `rig.MAIN_BONES`, scene frame."""
-        q, root, _ = self.pose_at(time_s)
-        frames = [main_frames(q[k], self.person.rest, root[k]) for k in range(len(q))]
-        return np.stack([rotation for rotation, _ in frames]), np.stack([position for _, position in frames])
-
-    def joints(self, time_s: ArrayLike) -> F64:
-        """(T, 20, 3) m: the joints of `core.skeleton.JOINTS`, scene frame."""
-        rotation, position = self.bones(time_s)
-        out = np.empty((len(rotation), len(JOINTS), 3))
-        for k in range(len(out)):
-            native.joint_positions(self.person.rest, rotation[k], position[k], out[k])
-        return out
-
-    def body(self, time_s: float) -> PosedBody:
-        """The posed, skinned body at a time."""
-        q, root, _ = self.pose_at(time_s)
-        fingers = self.fingers_at(time_s)
-        return self.person.pose(q[0], root[0], None if fingers is None else fingers[0])
 
 
 @dataclass(frozen=True, eq=False)

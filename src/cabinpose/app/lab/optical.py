@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from cabinpose._native import lab
-from cabinpose.app.lab.motion import KeyedMotion
+from cabinpose.app.lab.motion import PersonMotion
 from cabinpose.app.lab.rig import Tracker
 from cabinpose.core import CABINPOSE, Matrix, apply, invert, transform
 from cabinpose.scene import LABEL_ID as LABEL
@@ -102,7 +102,7 @@ def seen_by(eyes: F64, markers: F64, vertices: NDArray[np.float32], faces: NDArr
 class Watch:
     """What hides a person's cap from cameras: their own body, and the car without its panes; other people are left out."""
 
-    def __init__(self, motion: KeyedMotion, cap: Cap, eyes: F64 | None = None) -> None:
+    def __init__(self, motion: PersonMotion, cap: Cap, eyes: F64 | None = None) -> None:
         """eyes: (N, 3) m in the scene's frame; left out: `CAMERAS_M` about the head's place at the start."""
         self._motion, self._cap = motion, cap
         heads = motion.joints(np.arange(0.0, motion.duration_s + 0.2, 0.2))[:, CABINPOSE.index["head"]]
@@ -113,7 +113,7 @@ class Watch:
         corners = np.array(list(product(*zip(low, high, strict=True))))
         self._rows, self._faces = np.zeros(0, np.int64), np.zeros((0, 3), np.int32)
         if motion.cabin is not None:
-            surface = motion.cabin.surface(motion.settings, wheel_angle=float(motion.wheel_angle[0]))
+            surface = motion.cabin.surface(motion.settings, wheel_angle=float(motion.pose_at(0.0)[2][0]))
             between = np.empty(len(surface.faces), np.bool_)
             lab.faces_between(
                 eyes=np.ascontiguousarray(self.eyes),
@@ -205,7 +205,7 @@ def measured_tracker(world_from_object: Matrix, time_s: F64, errors: Tracker, *,
 
 
 def measured_model(
-    motion: KeyedMotion, time_s: F64, world_from_scene: Matrix, noise_m: float, *, rng: np.random.Generator
+    motion: PersonMotion, time_s: F64, world_from_scene: Matrix, noise_m: float, *, rng: np.random.Generator
 ) -> tuple[F64, F64]:
     """Positions (T, S, 3) m and orientations (T, S, 4) wxyz of `MODEL_SEGMENTS` in the world: the full-body optical model.
 

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.lab.motion import KeyedMotion
+from cabinpose.app.lab.motion import PersonMotion
 from cabinpose.app.lab.rig import SuitErrors
 from cabinpose.core import CABINPOSE, MVN_JOINTS, MVN_SEGMENTS, Matrix, apply, transform
 from cabinpose.scene import MATERIAL_ID as MATERIAL
@@ -92,7 +92,7 @@ class Segments:
         return result
 
 
-def true_segments(motion: KeyedMotion, time_s: NDArray[np.floating]) -> Segments:
+def true_segments(motion: PersonMotion, time_s: NDArray[np.floating]) -> Segments:
     """The segments of a moving person at times (T,), in the scene's frame, without any error."""
     time = np.atleast_1d(np.asarray(time_s, np.float64))
     rotation, position = motion.bones(time)

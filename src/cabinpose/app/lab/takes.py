@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.lab.exercises import exercises, stand
-from cabinpose.app.lab.motion import KeyedMotion, Stage, act, calibrate_head, in_seat, keep_apart, named_person
+from cabinpose.app.lab.motion import KeyedMotion, PersonMotion, Stage, act, calibrate_head, in_seat, keep_apart, named_person
 from cabinpose.app.lab.optical import (
     HEAD_SEGMENT,
     HEAD_SUBJECT,
@@ -233,8 +233,8 @@ def _write(
     streams: dict[str, Iterator[Sample]] = {}
     truths: list[dict[str, Any]] = [{} for _ in people]
     for (actor, moves), truth in zip(people, truths, strict=True):
-        streams[actor.suit] = _suit(rig, actor, moves, world, seconds, truth, rng=rng)
-    streams["optical"] = _optical(rig, people, world, seconds, truths, rng=rng)
+        streams[actor.suit] = suit_samples(rig, actor, moves, world, seconds, truth, rng=rng)
+    streams["optical"] = optical_samples(rig, people, world, seconds, truths, rng=rng)
     if rig.tracker is not None:
         streams["tracker"] = _tracker(rig, people, world, seconds, rng=rng.spawn(1)[0])  # all else is drawn as without it
     if rate_hz:
@@ -260,8 +260,8 @@ def _ticks(
     return true_ns, rig.clock(source).arrivals(true_ns, rng=rng), (true_ns - rig.start_ns) / 1e9
 
 
-def _suit(
-    rig: VirtualRig, actor: Actor, motion: KeyedMotion, world: Matrix, seconds: float, truth: dict[str, Any], *,
+def suit_samples(
+    rig: VirtualRig, actor: Actor, motion: PersonMotion, world: Matrix, seconds: float, truth: dict[str, Any], *,
     rng: np.random.Generator,
 ) -> Iterator[Sample]:  # fmt: skip
     """The samples of a suit; what is true goes into `truth`, here and below."""
@@ -277,8 +277,8 @@ def _suit(
     return samples(rig.clock(actor.suit), true_ns, host_ns, messages)
 
 
-def _optical(
-    rig: VirtualRig, people: Sequence[tuple[Actor, KeyedMotion]], world: Matrix, seconds: float, truths: list[dict[str, Any]], *,
+def optical_samples(
+    rig: VirtualRig, people: Sequence[tuple[Actor, PersonMotion]], world: Matrix, seconds: float, truths: list[dict[str, Any]], *,
     rng: np.random.Generator,
 ) -> Iterator[Sample]:  # fmt: skip
     """The samples of the optical system: all caps, and in a room the full-body models."""

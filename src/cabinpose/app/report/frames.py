@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -27,27 +28,48 @@ def frame_figures(
     """Figures of the frames of these numbers, of a model in 3D in their clouds as well; none where the dataset has no depth."""
     if "depth" not in dataset:
         return []
-    skeleton = skeleton_with(report.joint_sets[ALL], report.skeleton)
-    columns = [model.joints.index(name) for name in skeleton.joints]
-    away = {"y", *map(joint_dimension, SKELETONS)}
-    rest = dataset.drop_vars([n for n, v in dataset.variables.items() if n != "depth" and away & set(v.dims)])
-    figures = []
+    skeleton, figures = skeleton_with(report.joint_sets[ALL], report.skeleton), []
     for number in numbers:
-        batch = _poses(dataset, model, number)
-        uv = np.where(batch.presence[..., None] >= options.presence, batch.joints_2d, np.nan)[0][:, columns]
-        if options.match == "slot":  # in the order of the dataset's people, so that joints correspond
-            uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
-        truth = truth_of(dataset.sel(frame=[number]), skeleton)
-        frame = rest.sel(frame=[number]).assign(truth).isel(frame=0).load()
-        found = np.where(batch.presence[..., None] >= options.presence, batch.joints_3d, np.nan)[0][:, columns]
-        points = None
-        if not np.isfinite(batch.joints_2d).any():  # a model of 3D joints alone: their depths show from the side
-            points = found
-        figures.append(overlay(frame, skeleton, uv, model.persons, options.match == "slot", points=points))
+        shown = shown_frame(dataset, skeleton, model, options, number)
+        frame, found = shown.frame, shown.found
+        figures.append(
+            overlay(frame, skeleton, shown.uv, model.persons, options.match == "slot", points=None if shown.flat else found)
+        )
         if np.isfinite(found).any():
             views = cloud_views(frame, skeleton.limbs, [(frame["joints_3d"].values, TRUTH), (found, PREDICTION)])
             figures.append(figure(views, f"frame {number} in its cloud"))
     return figures
+
+
+class ShownFrame(NamedTuple):
+    """A frame in memory with the joints of a skeleton, and those found: uv (P, J, 2) px, found (P, J, 3) m, NaN where not.
+
+    flat: whether any joint is found in the image; a model of 3D joints alone shows from the side.
+    """
+
+    frame: xr.Dataset
+    uv: NDArray[np.float32]
+    found: NDArray[np.float32]
+    flat: bool
+
+
+def shown_frame(
+    dataset: xr.Dataset, skeleton: Skeleton, model: Predictions | Predictor, options: EvaluationOptions, number: int
+) -> ShownFrame:
+    """The frame of a number, as `overlay` draws it, with what a model finds in it; matched by slot in the dataset's order."""
+    columns = [model.joints.index(name) for name in skeleton.joints]
+    away = {"y", *map(joint_dimension, SKELETONS)}
+    rest = dataset.drop_vars([n for n, v in dataset.variables.items() if n != "depth" and away & set(v.dims)])
+    batch = _poses(dataset, model, number)
+    uv, found = (
+        np.where(batch.presence[..., None] >= options.presence, joints, np.nan)[0][:, columns]
+        for joints in (batch.joints_2d, batch.joints_3d)
+    )
+    if options.match == "slot":  # in the order of the dataset's people, so that joints correspond
+        uv = uv[[model.persons.index(p) for p in dataset["person"].values.tolist() if p in model.persons]]
+    truth = truth_of(dataset.sel(frame=[number]), skeleton)
+    frame = rest.sel(frame=[number]).assign(truth).isel(frame=0).load()
+    return ShownFrame(frame, uv, found, bool(np.isfinite(batch.joints_2d).any()))
 
 
 def _poses(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> PoseBatch:
@@ -59,9 +81,17 @@ def _poses(dataset: xr.Dataset, model: Predictions | Predictor, number: int) -> 
 
 def overlay(
     frame: xr.Dataset, skeleton: Skeleton, predicted: NDArray[np.float32], persons: Sequence[str], matched: bool,
-    title: str = "", points: NDArray[np.float32] | None = None,
+    points: NDArray[np.float32] | None = None,
 ) -> Html:  # fmt: skip
-    """One frame as a figure: joints of truth (white) and prediction (orange), in px.
+    """One frame as a figure, see `drawing`."""
+    return figure(drawing(frame, skeleton, predicted, persons, matched, points), caption(frame))
+
+
+def drawing(
+    frame: xr.Dataset, skeleton: Skeleton, predicted: NDArray[np.float32], persons: Sequence[str], matched: bool,
+    points: NDArray[np.float32] | None = None,
+) -> Html:  # fmt: skip
+    """One frame as SVG: joints of truth (white) and prediction (orange), in px.
 
     Parameters
     ----------
@@ -75,8 +105,6 @@ def overlay(
         Slots that the model predicts.
     matched
         The predicted people are those of `persons`, in the dataset's order; a red line then joins each joint with its truth.
-    title
-        Put before the caption.
     points
         (P, J, 3) m, camera frame: drawn beside the image as seen from its right, the camera on the left.
     """
@@ -99,7 +127,7 @@ def overlay(
             parts += [_segment(uv[a], uv[b], colour, 1.9) for a, b in skeleton.limbs if np.isfinite(uv[a] + uv[b]).all()]
             dots = uv[np.isfinite(uv).all(axis=1)] + _HALF
             parts += [el("circle", cx=f"{u:.1f}", cy=f"{v:.1f}", r=2.6, fill=colour) for u, v in dots]
-    return figure(svg(wide, height, parts, kind="frame"), f"{title}; {caption(frame)}" if title else caption(frame))
+    return svg(wide, height, parts, kind="frame")
 
 
 def _from_the_side(

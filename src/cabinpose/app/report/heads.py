@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from cabinpose.app.report.charts import legend, series_chart
-from cabinpose.app.report.frames import overlay
-from cabinpose.app.report.html import document, el, section
+from cabinpose.app.report.frames import drawing
+from cabinpose.app.report.html import document, el, figure, section
+from cabinpose.app.view.sheet import caption
 from cabinpose.core import CABINPOSE, make_folder, write_whole
 from cabinpose.store import open_dataset
 
@@ -41,7 +42,7 @@ def write_head_page(folder: Path, takes: Sequence[tuple[int, str, str, str]], ou
         for what, some in (("best", order[:_SHOWN]), ("worst", order[: -_SHOWN - 1 : -1])):
             for k in some:
                 frame, title = dataset.isel(frame=int(frames[k])).load(), f"{name}: {what}, {apart[k]:.2f} deg"
-                pictures.append(overlay(frame, CABINPOSE, _NONE, (), False, title))
+                pictures.append(figure(drawing(frame, CABINPOSE, _NONE, (), False), f"{title}; {caption(frame)}"))
     chart = series_chart("angle between the two systems' heads, deg", "s", lines, size=(1240, 300))
     note = "One rotation for the whole take aligns the worlds of suit and optical system: a drift of the heading shows."
     count = len({sequence for sequence, *_ in takes})

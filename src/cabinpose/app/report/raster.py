@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,14 +14,41 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from cabinpose.app.report.charts import COLOURS, ValueScale, series_chart, text
 from cabinpose.app.report.html import Html, el
-from cabinpose.core import whole_file
+from cabinpose.core import whole_file, write_whole
 
 _INK, _SOFT, _LINE = "#1d2129", "#626b79", "#dde1e7"  # the colours of the pages by day
 _SHARP, _FINER = 2, 2  # px of the picture a px of the chart, and how many times larger it is painted
+_GAP = 6  # px between frames of a sheet
+_STYLE = (
+    f"text{{font:11px sans-serif;fill:{_INK}}}.title{{font-size:13px}}.end,.middle,.soft{{fill:{_SOFT}}}.end{{text-anchor:end}}"
+    f".middle{{text-anchor:middle}}.grid{{stroke:{_LINE}}}.axis{{stroke:{_SOFT}}}"
+)
 _NUMBER = re.compile(r"-?[\d.]+")
 _ANCHORS = {"end": "rs", "middle": "ms"}
 _LINES = {"train_loss": "training loss", "val_loss": "validation loss"}  # blue and red, as in the thesis' figure 6.22
 _WIDE = 10.0  # losses that differ by more are drawn on a logarithmic axis
+
+
+def write_svg(path: Path, drawn: Html, names: Iterable[str] = ()) -> None:
+    """Write a chart as an SVG file that needs no style sheet, below the names of what its colours stand for."""
+    parts, top, wide = [], 0.0, 0.0
+    for chart in [*([_legend(list(names))] if names else []), drawn]:
+        _, _, width, height = map(float, fromstring(chart).attrib["viewBox"].split())
+        parts.append(el("svg", Html(chart), x=0.0, y=top, width=width, height=height))
+        top, wide = top + height, max(wide, width)
+    whole = el("svg", el("style", Html(_STYLE)), *parts, xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {wide:.0f} {top:.0f}")
+    write_whole(path, f"{whole}\n")
+
+
+def write_grid(path: Path, drawn: Sequence[Html], columns: int) -> None:
+    """Write drawings of frames as a contact sheet, row by row, px by px."""
+    parts = [_painted(fromstring(each), 1) for each in drawn]
+    wide, high = max(p.width for p in parts) + _GAP, max(p.height for p in parts) + _GAP
+    whole = Image.new("RGB", (min(columns, len(parts)) * wide - _GAP, -(-len(parts) // columns) * high - _GAP), "white")
+    for number, part in enumerate(parts):
+        whole.paste(part, (number % columns * wide, number // columns * high))
+    with whole_file(path) as partial:
+        whole.save(partial, "png")
 
 
 def write_png(path: Path, drawn: Sequence[Html], names: Iterable[str] = ()) -> None:
@@ -44,10 +73,10 @@ def _legend(names: Sequence[str]) -> Html:
     return el("svg", *body, viewBox=f"0 0 {x:.0f} 28")
 
 
-def _painted(chart: Element) -> Image.Image:
-    """A chart of lines, paths of straight lines, rectangles, circles and words."""
+def _painted(chart: Element, sharp: int = _SHARP) -> Image.Image:
+    """A chart of lines, paths of straight lines, rectangles, circles, pictures and words; sharp: px of a px of the chart."""
     _, _, width, height = map(float, chart.attrib["viewBox"].split())
-    scale = _SHARP * _FINER
+    scale = sharp * _FINER
     image = Image.new("RGB", (round(width * scale), round(height * scale)), "white")
     draw = ImageDraw.Draw(image, "RGBA")
     for part in chart:
@@ -66,6 +95,9 @@ def _painted(chart: Element) -> Image.Image:
         elif part.tag == "circle":
             x, y, r = at["cx"], at["cy"], at["r"]
             draw.ellipse([x - r, y - r, x + r, y + r], _tint(part))
+        elif part.tag == "image":
+            picture = Image.open(io.BytesIO(base64.b64decode(part.attrib["href"].partition(",")[2])))
+            image.paste(picture.resize((round(at["width"]), round(at["height"]))))
         elif part.tag == "text":
             _write(image, part, kind, at, scale)
     return image.reduce(_FINER)

@@ -1,0 +1,90 @@
+"""Sequences of the generator as the laboratory records them: its motion, its images, and labels that err as a rig does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cabinpose.app.lab.filmed import _LEAD_S, FilmedMotion, FilmedSession, FilmedSubject, _Films, record_films
+from cabinpose.app.lab.rig import VirtualRig
+from cabinpose.core import CABINPOSE
+from cabinpose.core.errors import SceneError
+from cabinpose.scene.body import BONE_INDEX
+from cabinpose.store import open_dataset
+from cabinpose.synth import SynthConfig
+
+PLAIN: dict[str, Any] = {
+    "scene": {
+        "cars": ["sedan"], "right_hand_drive": 0.0, "occupancy": {"driver": 1.0}, "clutter": 0.0,
+        "sequence": {"frames": 12, "rate_hz": 5.0, "activities": ["check_mirror", "operate"]},
+    },
+    "people": {"driver_years": 0, "subjects": [], "own": {"P1": {"gender": "male", "stature_cm": 178}}},
+    "camera": {"sensor": "pico_monstar_105", "views": {"driver": 1.0}, "jitter_m": 0.0, "jitter_deg": 0.0},
+}  # fmt: skip
+
+
+def session(rig: VirtualRig | None = None, frames: int = 12, **changes: Any) -> FilmedSession:
+    scenes = SynthConfig.parse({**PLAIN, **changes})
+    return FilmedSession(subjects={"P1": FilmedSubject(scenes=scenes, seed=3, frames=frames)}, rig=rig or VirtualRig(), views=12)
+
+
+def test_a_subject_does_one_activity_a_take_until_there_are_enough_frames() -> None:
+    takes = session(frames=40).takes()  # 44 with those that may be lost: four takes of twelve
+    assert [(t.activity, t.number) for t in takes] == [("check_mirror", 0), ("operate", 0), ("check_mirror", 1), ("operate", 1)]
+
+
+def test_a_take_is_the_film_after_turns_of_the_head() -> None:
+    films = _Films(made := session())
+    film = films.film(made.takes()[0])
+    motion = FilmedMotion(film, "driver")
+    at = np.array([0.0, 0.4])
+    for later in at:
+        (person,) = film.people(float(later))
+        assert motion.joints(_LEAD_S + later)[0] == pytest.approx(person.posed.joints, abs=1e-5)
+        assert motion.body(_LEAD_S + float(later)).skin == pytest.approx(person.posed.skin, abs=1e-6)
+    time = np.arange(0.0, _LEAD_S, 1 / 60)
+    joints = motion.joints(time)
+    trunk = [CABINPOSE.index[name] for name in ("hip", "chest", "lwrist")]
+    assert np.ptp(joints[:, trunk], axis=0).max() < 0.02  # breathing
+    facing = np.degrees(Rotation.from_matrix(motion.bones(time)[0][:, BONE_INDEX["head"]]).as_euler("ZYX", degrees=False))
+    assert np.ptp(facing, axis=0).min() > 10.0  # about every axis
+    assert motion.duration_s == pytest.approx(_LEAD_S + 11 / 5.0 + 0.4)
+
+
+@pytest.mark.slow
+def test_images_are_the_generators_and_labels_those_of_a_suit(tmp_path: Path) -> None:
+    """Without an error of the rig labels are true; with its errors they are off by centimetres, and images are the same."""
+    off = {}
+    for name, rig in (("exact", VirtualRig().noise_free()), ("worn", VirtualRig())):
+        made = session(rig, frames=12)
+        record_films(made, tmp_path / name / "recordings", tmp_path / name / "dataset")
+        dataset = open_dataset(tmp_path / name / "dataset")
+        films, errors = _Films(made), []
+        for number, take in enumerate(made.takes()):
+            images, part = films.images(take), dataset.isel(frame=dataset["sequence"].values == number)
+            assert set(part["action"].sel(person="driver").values.tolist()) == {take.activity}
+            for k in range(part.sizes["frame"]):
+                frame = images(k)
+                seen = part["depth"].values[k]
+                assert np.nan_to_num(seen) == pytest.approx(np.nan_to_num(frame["depth"]), abs=6e-5)
+                true = frame["joints_3d"][np.isfinite(frame["joints_3d"]).any(axis=(1, 2))][0]
+                errors.append(np.linalg.norm(part["joints_3d"].sel(person="driver").values[k] - true, axis=-1))
+        assert len(errors) >= 12
+        assert set(dataset["subject"].sel(person="driver").values.tolist()) == {"P1"}
+        off[name] = np.mean(errors)
+    assert off["exact"] < 0.002
+    assert 0.005 < off["worn"] < 0.04
+    paths = sorted((tmp_path / "worn" / "recordings").glob("take-*.mcap"))
+    stamp = paths[0].stat().st_mtime_ns
+    whole = paths[1].read_bytes()
+    paths[1].unlink()  # as if it had been interrupted
+    record_films(made, tmp_path / "worn" / "recordings", tmp_path / "again")
+    assert paths[0].stat().st_mtime_ns == stamp
+    assert paths[1].read_bytes() == whole
+    moved = session(frames=12, camera={**PLAIN["camera"], "jitter_m": 0.05})
+    with pytest.raises(SceneError, match="stays where it is"):
+        record_films(moved, tmp_path / "moved" / "recordings", tmp_path / "moved" / "dataset")
