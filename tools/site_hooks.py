@@ -54,6 +54,9 @@ def executed(path: Path) -> nbformat.NotebookNode:
     with TemporaryDirectory() as folder:
         resources = {"metadata": {"path": folder}}
         nbclient.NotebookClient(notebook, timeout=SECONDS, resources=resources, extra_arguments=[QUIET]).execute()
+    outputs = (output for cell in notebook.cells for output in cell.get("outputs", ()))
+    if told := [output.text for output in outputs if output.get("name") == "stderr" and "Traceback" in output.text]:
+        raise RuntimeError(f"{path.name}: {told[0]}")  # one that the notebook caught, and went on
     return notebook
 
 

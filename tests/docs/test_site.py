@@ -13,7 +13,10 @@ from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
+import nbformat
 import pytest
+from nbclient.exceptions import CellExecutionError
+from site_hooks import executed
 
 ROOT = Path(__file__).resolve().parents[2]
 FETCHING = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src", "object": "data", "link": "href"}
@@ -82,7 +85,16 @@ def test_every_page_of_the_documentation_is_on_the_site(site: Path) -> None:
     assert lacking == []
 
 
+@pytest.mark.parametrize("code", ["1 / 0", "import sys\nprint('Traceback', file=sys.stderr)"])
+def test_a_notebook_that_fails_or_prints_a_traceback_ends_the_build(code: str, tmp_path: Path) -> None:
+    path = tmp_path / "0-fails.ipynb"
+    nbformat.write(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)]), path)
+    with pytest.raises((CellExecutionError, RuntimeError), match=r"ZeroDivisionError|0-fails.ipynb: Traceback"):
+        executed(path)
+
+
 def test_notebooks_show_what_they_print_and_draw(site: Path) -> None:
+    assert sorted(PICTURES) == sorted(path.stem for path in (ROOT / "docs" / "notebooks").glob("*.ipynb"))
     for name, count in PICTURES.items():
         page = (site / "notebooks" / f"{name}.html").read_text("utf-8")
         drawn = re.findall(rf'src="({name}-\d+\.png)"', page)

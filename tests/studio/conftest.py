@@ -50,8 +50,7 @@ class Server:
         return self.process.wait(timeout=20)
 
 
-@pytest.fixture
-def start() -> Iterator[Callable[..., Server]]:
+def _servers() -> Iterator[Callable[..., Server]]:
     """`start(dataset)`: a studio that is serving; it is killed at the end."""
     servers: list[Server] = []
 
@@ -63,6 +62,10 @@ def start() -> Iterator[Callable[..., Server]]:
     for server in servers:
         if server.process.poll() is None:
             server.kill()
+
+
+start = pytest.fixture(name="start")(_servers)
+start_for_module = pytest.fixture(name="start_for_module", scope="module")(_servers)
 
 
 @pytest.fixture(scope="session")

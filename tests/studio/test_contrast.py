@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,19 @@ def shown(page: Any, name: str) -> None:
     page.wait_for_timeout(1500)
 
 
+@pytest.fixture(scope="module")
+def address(
+    start_for_module: Callable[..., Any], generated: Path, predicted: Path, tmp_path_factory: pytest.TempPathFactory
+) -> str:
+    """Of a studio over a dataset and predictions, in which nothing is changed."""
+    folder = shutil.copytree(generated, tmp_path_factory.mktemp("contrast") / "dataset")
+    return str(start_for_module(folder, "--predictions", predicted).address)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_all_words_and_controls_have_the_contrast_of_wcag_aa(
-    browser: Any, start: Callable[..., Any], dataset_folder: Path, predicted: Path, tmp_path: Path, theme: str
+    browser: Any, start: Callable[..., Any], address: str, tmp_path: Path, theme: str
 ) -> None:
     """And no request leaves this machine, and the console stays empty."""
     asked: list[str] = []
@@ -53,7 +63,6 @@ def test_all_words_and_controls_have_the_contrast_of_wcag_aa(
     page.on("websocket", lambda socket: asked.append(socket.url))
     page.on("console", lambda message: said.append(message.text) if message.type in ("error", "warning") else None)
     page.on("pageerror", lambda error: said.append(str(error)))
-    address = start(dataset_folder, "--predictions", predicted).address
     page.goto(address)
     page.get_by_text("6 of 6 frames").wait_for()
     wrong = {}
@@ -65,12 +74,10 @@ def test_all_words_and_controls_have_the_contrast_of_wcag_aa(
     page.get_by_text("through the page", exact=True).wait_for()
     page.wait_for_timeout(500)
     _, wrong["?"] = page.evaluate(_CONTRAST)
-    here = {address.split("/")[2]}
     scene = tmp_path / "scene.yaml"
     scene.write_text("scene:\n  cars: [suv]\n")
-    address = start(scene).address
-    here.add(address.split("/")[2])
-    page.goto(address)
+    of_scene = start(scene).address
+    page.goto(of_scene)
     page.get_by_role("button", name="Accept").click()
     page.wait_for_timeout(3000)
     for name in ("Keys", "People"):
@@ -81,17 +88,16 @@ def test_all_words_and_controls_have_the_contrast_of_wcag_aa(
         assert count > 30, name
     context.close()
     assert {name: each for name, each in wrong.items() if each} == {}
+    here = {each.split("/")[2] for each in (address, of_scene)}
     assert [url for url in asked if url.split("/")[2] not in here and not url.startswith(("data:", "blob:"))] == []
     assert said == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TABS)
-def test_tab_alone_reaches_everything_and_is_seen(
-    page: Any, start: Callable[..., Any], dataset_folder: Path, predicted: Path, name: str
-) -> None:
+def test_tab_alone_reaches_everything_and_is_seen(page: Any, address: str, name: str) -> None:
     """All that the mouse can press, with a ring around what has the keyboard; joints of Label: by Tab in the image."""
-    page.goto(start(dataset_folder, "--predictions", predicted).address)
+    page.goto(address)
     page.get_by_text("6 of 6 frames").wait_for()
     shown(page, name)
     page.keyboard.press("Escape")  # out of the image of Label, which has its own use of Tab
