@@ -12,6 +12,7 @@ import trimesh
 from scipy import stats
 from scipy.spatial import ConvexHull, cKDTree
 
+from cabinpose._native import body as native
 from cabinpose.scene import LABEL_ID, MATERIAL_ID
 from cabinpose.scene.body import BONES, DOF_INDEX, DOFS, PLACES, SUBJECTS, BodyModel, Outfit, Phenotype, outfit
 from cabinpose.scene.body.accessories import head_box
@@ -133,6 +134,27 @@ def test_collars_and_fronts_end_on_the_cloth(name: str, garment: str) -> None:
     if garment == "open_jacket":
         for front in made[-2:]:
             assert cloth.query(front.vertices[:10])[0].max() < 0.018
+
+
+def test_a_ball_rolls_as_far_as_its_closest_form_says() -> None:
+    """To the bit as numpy has it: the parabola in place of the ball's cap, the first of points that are as far out."""
+    rng = np.random.default_rng(5)
+    points = rng.normal(0.0, 0.1, (501, 3))
+    points[400:] = points[:101]
+    origin, direction = rng.normal(0.0, 0.02, (6, 7, 3)), rng.normal(size=(6, 7, 3))
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    away = points - origin[..., None, :]
+    x, y, z = np.moveaxis(away * direction[..., None, :], -1, 0)
+    along = x + y + z
+    x, y, z = np.moveaxis(away * away, -1, 0)
+    beside = x + y + z - along * along
+    for ball in (0.03, 0.004):
+        height = np.where(along > 0, along - 0.5 * beside / ball, -1.0) - 10.0 * (beside > ball * ball)
+        radius, touched = np.empty((6, 7)), np.empty((6, 7), np.int64)
+        native.roll_ball(points, origin=origin, direction=direction, ball=ball, radius=radius, touched=touched)
+        np.testing.assert_array_equal(touched, height.argmax(axis=2))
+        np.testing.assert_array_equal(radius, height.max(axis=2))
+    assert (radius < 0.0).any()
 
 
 @pytest.mark.parametrize("name", [MAN, WOMAN])

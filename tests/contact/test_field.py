@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 from collections.abc import Callable
 
 import numpy as np
@@ -165,6 +167,21 @@ def test_copies_of_a_seat_share_one_field() -> None:
     assert (one.parts[0].name, two.parts[0].name) == ("driver cushion", "rear_left cushion")
 
 
+def test_cars_with_equal_seats_share_a_field_as_long_as_one_is_there() -> None:
+    def fields(slot: str, give_m: float = 0.0, shell_m: float = 0.0) -> ContactField:
+        part = Part(slot, surface(_box((0.31, 0.32, 0.33))), group=f"seat:{slot}/base", give_m=give_m, shell_m=shell_m)
+        return ContactField(StubCabin((part,)))
+
+    one, two, softer, thicker = fields("driver"), fields("rear_left"), fields("driver", 0.02), fields("driver", 0.0, 0.01)
+    assert one.groups[0].values is two.groups[0].values
+    for other in (softer, thicker):
+        assert not np.array_equal(one.groups[0].values, other.groups[0].values)
+    values = weakref.ref(one.groups[0].values)
+    del one, two
+    gc.collect()
+    assert values() is None
+
+
 def _reached_by_brute_force(clear: NDArray[np.bool_], seed: tuple[int, int, int]) -> NDArray[np.bool_]:
     parts, _ = scipy.ndimage.label(clear)
     return np.asarray(parts == parts[seed]) if clear[seed] else np.zeros_like(clear)
@@ -225,6 +242,23 @@ def test_splat_equals_the_exact_distance(below: float, above: float) -> None:
         near = (height > -below + 1e-6) & (height < above - 1e-6) & (exact < max(below, above) - 1e-6)
         np.testing.assert_allclose(np.sqrt(distance.reshape(-1)[near]), exact[near], atol=2e-6)
         assert np.isinf(distance.reshape(-1)[exact > max(below, above) + 1e-6]).all()
+
+
+def test_splat_of_many_triangles_is_the_least_of_each_alone() -> None:
+    """To the bit: a triangle is passed over only where another one is nearer."""
+    rng = np.random.default_rng(11)
+    corners = rng.normal(0.0, 0.06, (300, 1, 3)) + rng.normal(0.0, 0.02, (300, 3, 3))
+    corners[:30, 2] = 0.5 * (corners[:30, 0] + corners[:30, 1]) + rng.choice((1e-2, 1e-5, 0.0), (30, 1)) * corners[:30, 2]
+    corners[30:60, :, 2] = 0.01  # as flat as a panel, on the nodes themselves
+
+    def splat(triangles: NDArray[np.float64]) -> NDArray[np.float32]:
+        distance = np.full((25, 25, 23), np.inf, np.float32)
+        native.splat(triangles, np.full(3, -0.12), step=0.01, below=0.07, above=0.02, distance=distance)
+        return distance
+
+    alone = np.min([splat(triangle[None]) for triangle in corners], axis=0)
+    np.testing.assert_array_equal(splat(corners), alone)
+    np.testing.assert_array_equal(splat(corners[::-1].copy()), alone)
 
 
 def test_a_field_too_large_for_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -170,6 +170,19 @@ def hang(
 ) -> None:
     """Radius of cloth hanging about an axis."""
 
+def roll_ball(
+    points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), writable=False)],
+    *,
+    origin: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 3), writable=False)],
+    direction: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 3), writable=False)],
+    ball: float,
+    radius: Annotated[NDArray[numpy.float64], dict(shape=(None, None))],
+    touched: Annotated[NDArray[numpy.int64], dict(shape=(None, None))],
+) -> None:
+    """
+    How far out along rays a ball rolls on points, and which of them it touches.
+    """
+
 def fill_noise(
     points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), writable=False)],
     where: Annotated[NDArray[numpy.int64], dict(shape=(None,), writable=False)],

@@ -29,6 +29,8 @@ void bind_body(nb::module_& m) {
         "The seen mesh and its normals, rounded.");
   m.def("hang", &hang, nb::kw_only(), "down"_a, "radius"_a, "angle"_a, "narrowing"_a, "out"_a, unlocked(),
         "Radius of cloth hanging about an axis.");
+  m.def("roll_ball", &roll_ball, "points"_a, nb::kw_only(), "origin"_a, "direction"_a, "ball"_a, "radius"_a, "touched"_a,
+        unlocked(), "How far out along rays a ball rolls on points, and which of them it touches.");
   m.def("fill_noise", &fill_noise, "points"_a, "where"_a, "waves"_a, "phases"_a, "blend"_a, "out"_a, unlocked(),
         "Smooth noise at every seen vertex.");
   m.def("raise_folds", &raise_folds, "trains"_a, "noise"_a, "where"_a, "out"_a, unlocked(), "Height of folds.");

@@ -248,4 +248,29 @@ void hang(Array<const double, any> down, Array<const double, any> radius, Array<
   }
 }
 
+void roll_ball(Array<const double, any, 3> points, Array<const double, any, any, 3> origin,
+               Array<const double, any, any, 3> direction, double ball, Array<double, any, any> radius,
+               Array<std::int64_t, any, any> touched) {
+  const std::size_t count = static_cast<std::size_t>(points.size());
+  std::vector<double> x(count), y(count), z(count), height(count);  // by axes, so that several points are done at once
+  for (std::size_t n = 0; n < count; ++n) {
+    const double* point = points.data() + 3 * n;
+    x[n] = point[0], y[n] = point[1], z[n] = point[2];
+  }
+  const double reach = ball * ball;
+  for (Index ray = 0; ray < radius.count(); ++ray) {
+    const double *from = origin.data() + 3 * ray, *way = direction.data() + 3 * ray;
+    const double ox = from[0], oy = from[1], oz = from[2], wx = way[0], wy = way[1], wz = way[2];
+    for (std::size_t n = 0; n < count; ++n) {
+      const double ax = x[n] - ox, ay = y[n] - oy, az = z[n] - oz;
+      const double along = ax * wx + ay * wy + az * wz, beside = ax * ax + ay * ay + az * az - along * along;
+      const double out = along - 0.5 * beside / ball;
+      height[n] = (along > 0.0 ? out : -1.0) - (beside > reach ? 10.0 : 0.0);
+    }
+    const auto highest = std::max_element(height.begin(), height.end());
+    radius.data()[ray] = *highest;
+    touched.data()[ray] = highest - height.begin();
+  }
+}
+
 }  // namespace cabinpose

@@ -52,4 +52,11 @@ void refine(Array<const float, any, 3> points, Array<const std::int32_t, any, 3>
 void hang(Array<const double, any> down, Array<const double, any> radius, Array<const double, any> angle,
           Array<const double, any> narrowing, Array<double, any> out);
 
+/// Where a ball of radius `ball` m that rolls along rays, from `origin` (n, m, 3) m in unit `direction` (n, m, 3), is last held
+/// up by points (P, 3) m: how far out it touches, `radius` (n, m) m, below 0 where it meets none, and the point it touches,
+/// `touched` (n, m).
+void roll_ball(Array<const double, any, 3> points, Array<const double, any, any, 3> origin,
+               Array<const double, any, any, 3> direction, double ball, Array<double, any, any> radius,
+               Array<std::int64_t, any, any> touched);
+
 }  // namespace cabinpose

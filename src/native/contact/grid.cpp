@@ -54,10 +54,21 @@ inline double interpolate(double x, double y, double z, const double* m, const F
   return low * (1.0 - fw) + high * fw;
 }
 
+/// Four nodes at a time; each operation is that of one lane four times over, whatever the registers of the build. As values they
+/// would not be passed alike by both.
+using Four = double __attribute__((vector_size(32)));
+using FourFloats = float __attribute__((vector_size(16)));
+
 /// By how much the way to a segment is shorter than to its start, squared: from the product with its direction, and its length.
-inline double to_segment(double along, double square, double per_square) {
-  const double t = along * per_square, share = t < 0.0 ? 0.0 : t > 1.0 ? 1.0 : t;
-  return share * (2.0 * along - share * square);
+[[gnu::always_inline]] inline void to_segment(const Four& along, double square, double per_square, Four& shorter) {
+  const Four t = along * per_square, zero{}, one = zero + 1.0, share = t < zero ? zero : t > one ? one : t;
+  shorter = share * (2.0 * along - share * square);
+}
+
+/// By how much numbers are outside of an interval.
+[[gnu::always_inline]] inline void outside_of(double low, double high, const Four& x, Four& beside) {
+  const Four zero{}, under = low - x, above = x - high, most = under > above ? under : above;
+  beside = most > zero ? most : zero;
 }
 
 /// Calls `visit(n, value)` for the points (N, 3) whose value is below `threshold` until it returns true; whether it did.
@@ -88,6 +99,47 @@ bool any_below(Array<const float, any, 3> points, Array<const double, any, 4> ba
 }
 
 constexpr double tiny = 1e-30;
+/// The rectangle in a triangle's plane that is closest around it: the directions of its sides, and their extents from a, m.
+///
+/// slack: m2 by which squared distances to it, and to the triangle, may be rounded; without bounds for a sliver, whose are not
+/// exact.
+struct Rectangle {
+  double u[3], v[3], u_low, u_high, v_low, v_high, slack;
+};
+
+/// size: twice the area of the triangle.
+Rectangle rectangle_around(const double* a, const double* b, const double* c, double size) {
+  Rectangle r{};
+  double along[3] = {}, square = 0.0;  // of the longest side
+  for (const auto& [from, to] : {std::pair{a, b}, std::pair{b, c}, std::pair{c, a}}) {
+    const double side[3] = {to[0] - from[0], to[1] - from[1], to[2] - from[2]};
+    const double own = side[0] * side[0] + side[1] * side[1] + side[2] * side[2];
+    if (own > square) square = own, std::copy_n(side, 3, along);
+  }
+  r.slack = 1e-10;
+  if (!(size > 1e-3 * square)) {
+    r.slack = std::numeric_limits<double>::infinity();
+    return r;
+  }
+  const double length = std::sqrt(square);
+  double n[3];
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    n[i] = ((b[j] - a[j]) * (c[k] - a[k]) - (b[k] - a[k]) * (c[j] - a[j])) / size;
+    r.u[i] = along[i] / length;
+  }
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    r.v[i] = n[j] * r.u[k] - n[k] * r.u[j];
+  }
+  for (const double* corner : {b, c}) {
+    double u = 0.0, v = 0.0;
+    for (int i = 0; i < 3; ++i) u += r.u[i] * (corner[i] - a[i]), v += r.v[i] * (corner[i] - a[i]);
+    r.u_low = std::min(r.u_low, u), r.u_high = std::max(r.u_high, u);
+    r.v_low = std::min(r.v_low, v), r.v_high = std::max(r.v_high, v);
+  }
+  return r;
+}
 
 Index ceiled(double x) { return static_cast<Index>(std::ceil(x)); }
 Index floored(double x) { return static_cast<Index>(std::floor(x)); }
@@ -111,7 +163,8 @@ void splat(Corners corners, Vector origin, double step, double below, double abo
     const double size = std::sqrt(nn), per_area = nn > 0.0 ? 1.0 / nn : 0.0;
     const double ee = bb - 2.0 * bc + cc, per_bb = 1.0 / std::max(bb, tiny), per_cc = 1.0 / std::max(cc, tiny),
                  per_ee = 1.0 / std::max(ee, tiny);
-    const bool has_area = nn > 1e-12 * bb * cc;
+    const std::int64_t has_area = nn > 1e-12 * bb * cc ? -1 : 0;
+    const Rectangle around = rectangle_around(a, p, q, size);
     const double lowest = -below * size, highest = above * size, rise = nz * step;
     for (Index i = low[0]; i <= high[0]; ++i) {
       const double x = origin[0] + static_cast<double>(i) * step - a[0];
@@ -130,18 +183,41 @@ void splat(Corners corners, Vector origin, double step, double below, double abo
         if (first > last) continue;
         float* column = &distance(i, j, 0);
         const int from = static_cast<int>(first), to = static_cast<int>(last);
-        for (int k = from; k <= to; ++k) {  // without branches, so that the compiler can do several at once
-          const double height = over + static_cast<double>(k) * rise, z = z0 + static_cast<double>(k) * step;
-          const double d1 = bx * x + by * y + bz * z, d2 = cx * x + cy * y + cz * z, pp = x * x + y * y + z * z;
-          const double d3 = d1 - bb, d4 = d2 - bc, d5 = d1 - bc, d6 = d2 - cc;
-          const double on_b = to_segment(d1, bb, per_bb), on_c = to_segment(d2, cc, per_cc),
-                       on_e = to_segment(d4 - d3, ee, per_ee);
-          const double from_a = pp - (on_b > on_c ? on_b : on_c), from_b = pp - 2.0 * d1 + bb - on_e;
-          const double aside = from_a < from_b ? from_a : from_b;
-          const bool over_it = has_area & (d1 * d4 >= d3 * d2) & (d5 * d2 >= d1 * d6) & (d3 * d6 >= d5 * d4);
-          const double square = over_it ? height * height * per_area : aside;
-          const float found = static_cast<float>(square > 0.0 ? square : 0.0);
-          column[k] = (square <= within) & (found < column[k]) ? found : column[k];
+        const double u0 = around.u[0] * x + around.u[1] * y + around.u[2] * z0, u_rise = around.u[2] * step;
+        const double v0 = around.v[0] * x + around.v[1] * y + around.v[2] * z0, v_rise = around.v[2] * step;
+        for (int start = from; start <= to; start += 4) {
+          const int count = std::min(4, to + 1 - start);
+          float near[4] = {-1.0f, -1.0f, -1.0f, -1.0f};
+          if (count == 4) {
+            std::copy_n(column + start, 4, near);
+          } else {
+            std::copy_n(column + start, count, near);
+          }
+          const Four own{near[0], near[1], near[2], near[3]};
+          const double k0 = start;
+          const Four k{k0, k0 + 1.0, k0 + 2.0, k0 + 3.0}, height = over + k * rise;
+          // Only where the rectangle around the triangle is nearer than what was found may the triangle be.
+          Four beside_u, beside_v;
+          outside_of(around.u_low, around.u_high, u0 + k * u_rise, beside_u);
+          outside_of(around.v_low, around.v_high, v0 + k * v_rise, beside_v);
+          const Four plane = height * height * per_area;
+          const Four least = plane + beside_u * beside_u + beside_v * beside_v - around.slack;
+          const auto open = (least < own) & (least <= within);
+          if (!(open[0] | open[1] | open[2] | open[3])) continue;
+          const Four z = z0 + k * step;
+          const Four d1 = bx * x + by * y + bz * z, d2 = cx * x + cy * y + cz * z, pp = x * x + y * y + z * z;
+          const Four d3 = d1 - bb, d4 = d2 - bc, d5 = d1 - bc, d6 = d2 - cc;
+          Four on_b, on_c, on_e;
+          to_segment(d1, bb, per_bb, on_b);
+          to_segment(d2, cc, per_cc, on_c);
+          to_segment(d4 - d3, ee, per_ee, on_e);
+          const Four from_a = pp - (on_b > on_c ? on_b : on_c), from_b = pp - 2.0 * d1 + bb - on_e;
+          const Four aside = from_a < from_b ? from_a : from_b;
+          const auto over_it = has_area & (d1 * d4 >= d3 * d2) & (d5 * d2 >= d1 * d6) & (d3 * d6 >= d5 * d4);
+          const Four square = over_it ? plane : aside;
+          const FourFloats found = __builtin_convertvector(square > Four{} ? square : Four{}, FourFloats);
+          const auto nearer = (square <= within) & (__builtin_convertvector(found, Four) < own);
+          for (int n = 0; n < count; ++n) column[start + n] = nearer[n] ? found[n] : near[n];
         }
       }
     }
@@ -211,17 +287,20 @@ void merge_part(Array<const float, any, any, any> distance, Levels winding, bool
   constexpr double infinite = std::numeric_limits<double>::infinity();
   for (Index i = 0; i < distance.size(0); ++i) {
     for (Index j = 0; j < distance.size(1); ++j) {
+      const float* squares = &distance(i, j, 0);
+      const std::int8_t* turns = closed ? &winding(i, j, 0) : nullptr;
+      float* own = &values(i + offset[0], j + offset[1], offset[2]);
+      bool* known = &exact(i + offset[0], j + offset[1], offset[2]);
       for (Index k = 0; k < distance.size(2); ++k) {
-        const bool inside = closed && winding(i, j, k) > 0;
-        const float square = distance(i, j, k);
+        const bool inside = closed && turns[k] > 0;
+        const float square = squares[k];
         const bool measured = static_cast<double>(square) < (inside || !closed ? infinite : farthest);
         if (!measured && !inside) continue;
         const float d = std::sqrt(square);
         const double value = static_cast<double>(inside ? -d : d) + give;
-        float& own = values(i + offset[0], j + offset[1], k + offset[2]);
-        if (value < static_cast<double>(own)) {
-          own = static_cast<float>(value);
-          exact(i + offset[0], j + offset[1], k + offset[2]) = measured;
+        if (value < static_cast<double>(own[k])) {
+          own[k] = static_cast<float>(value);
+          known[k] = measured;
         }
       }
     }

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cabinpose._native import body
 from cabinpose.core import Bools, Bytes, Floats, Ints, Ints32
 from cabinpose.core import reproducible as rp
 from cabinpose.scene import labels, materials
@@ -206,13 +207,11 @@ def drape(
     length = rp.power(np.einsum("ijk,ijk->ij", direction, direction), 0.5)
     direction = direction / length[..., None]
     radius, touched = np.empty(length.shape), np.empty(length.shape, np.int64)
-    for i in range(len(radius)):
-        away = [cloud.points[None, :, k] - origin[i, :, None, k] for k in range(3)]
-        along = sum(away[k] * direction[i, :, None, k] for k in range(3))
-        beside = sum(a * a for a in away) - along * along
-        height = np.where(along > 0, along - 0.5 * beside / ball, -1.0) - 10.0 * (beside > ball * ball)
-        touched[i] = height.argmax(axis=1)
-        radius[i] = np.take_along_axis(height, touched[i][:, None], axis=1)[:, 0]
+    body.roll_ball(
+        np.ascontiguousarray(cloud.points),
+        origin=np.ascontiguousarray(np.broadcast_to(origin, direction.shape)), direction=direction, ball=ball,
+        radius=radius, touched=touched,
+    )  # fmt: skip
     inside = radius < 0.0  # rays that meet nothing take the shortest of the others
     radius[inside] = radius[~inside].min()
     least = radius.copy()

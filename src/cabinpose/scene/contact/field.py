@@ -11,12 +11,14 @@ the few points within the interpolation bound on the triangles themselves.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -285,6 +287,19 @@ class Contact:
 
 
 OUTSIDE = "outside the cabin"
+_BUILT: WeakValueDictionary[bytes, GroupField] = WeakValueDictionary()  # by `_shape_key`, as long as a cabin has them
+
+
+def _shape_key(parts: Sequence[Part], step: float, seeds: Floats | None) -> bytes:
+    """A digest of all that a group's field depends on but the names."""
+    digest = hashlib.blake2b(digest_size=32)
+    for part in parts:
+        vertices, faces = part.surface.vertices, part.surface.faces
+        facts = (vertices.shape, vertices.dtype.str, faces.shape, faces.dtype.str, part.give_m, part.shell_m, part.solid)
+        for piece in (repr(facts).encode(), vertices.tobytes(), faces.tobytes()):
+            digest.update(piece)
+    digest.update(repr((step, None if seeds is None else seeds.tolist())).encode())
+    return digest.digest()
 
 
 class ContactField:
@@ -299,18 +314,20 @@ class ContactField:
         chest = np.array((0.0, 0.0, 0.35))
         seeds = [np.asarray(seat.h_point(seat.default)) + chest for seat in cabin.seats.values()]
         self._cabin = cabin
-        built: dict[Any, GroupField] = {}
+        self._built: list[GroupField] = []
         fields = []
         for name, members in groups.items():
-            # Seats of one row are copies of each other, in frames of their own: one field serves them all.
-            shape = tuple((p.surface.vertices.tobytes(), p.surface.faces.tobytes(), p.give_m, p.solid) for p in members)
-            key = (shape, name == STATIC_GROUP)
-            if key not in built:
-                step = FINE_STEP_M if name == WHEEL_GROUP else STEP_M
-                inside = np.array(seeds) if seeds and name == STATIC_GROUP else None
-                built[key] = group_field(name, members, step=step, seeds=inside)
-            parts = tuple(replace(g, name=p.name) for g, p in zip(built[key].parts, members, strict=True))
-            fields.append(replace(built[key], name=name, parts=parts))
+            step = FINE_STEP_M if name == WHEEL_GROUP else STEP_M
+            inside = np.array(seeds) if seeds and name == STATIC_GROUP else None
+            # Seats of one row are copies of each other, in frames of their own, as are those of a car with the wheel on the
+            # other side: one field serves them all.
+            key = _shape_key(members, step, inside)
+            built = _BUILT.get(key)
+            if built is None:
+                built = _BUILT[key] = group_field(name, members, step=step, seeds=inside)
+            self._built.append(built)
+            parts = tuple(replace(g, name=p.name) for g, p in zip(built.parts, members, strict=True))
+            fields.append(replace(built, name=name, parts=parts))
         self.groups: tuple[GroupField, ...] = tuple(fields)
         self._half = np.array([(np.array(g.values.shape) - 1) * g.step / 2.0 for g in fields])
         self._centre = np.array([g.origin for g in fields]) + self._half
