@@ -24,7 +24,7 @@ ROWS = [
     [2.0, 2.0, 3.0, 3.0],  # good, at the median
     [1.0, 1.0, 12.0, 1.0],  # one joint
     [1.0, np.inf, 1.0, 1.0],  # one joint, not found
-    [1.0, 8.0, 12.0, 1.0],  # neither: a joint between
+    [1.0, 8.0, 1.0, 1.0],  # one joint, nearer
     [20.0, 20.0, 1.0, 1.0],  # a body
     [np.inf, np.inf, np.inf, 15.0],  # a body, worse
     [np.nan, np.nan, np.nan, np.nan],  # nothing counts
@@ -33,7 +33,7 @@ ROWS = [
 
 def test_the_rule() -> None:
     for space in ("2d", "3d"):
-        assert chosen_frames(made(ROWS), space) == {GOOD: [2, 0, 1], ONE_JOINT: [4, 3], BODY: [7, 6]}
+        assert chosen_frames(made(ROWS), space) == {GOOD: [2, 0, 1], ONE_JOINT: [4, 3, 5], BODY: [7, 6]}
 
 
 def test_of_a_sequence_one_frame_and_of_frames_alike_the_first() -> None:

@@ -20,13 +20,12 @@ from cabinpose.evaluate import EvaluationOptions, ModelErrors
 
 RULE = (
     "White: truth; orange: found; red: how far apart. Of the training with the best number in the test's first column, its first "
-    "repeat. Good: every joint within half a head size, nearest to the median of such frames. One joint fails: it is a head size "
-    "off or more, or not found, and all others are within half of one; the farthest first. A body fails: half of its joints or "
-    "more are a head size off, or not found; the worst first. A joint that is not found counts as three head sizes; of a "
-    "sequence one frame at the most; of frames alike the first."
+    "repeat. A joint is right within half a head size. Good: all joints are right, nearest to the median of such frames. One "
+    "joint fails: it alone is not right; the farthest first. A body fails: half of its joints or more are not right; the worst "
+    "first. A joint that is not found counts as three head sizes; of a sequence one frame at the most; of frames alike the first."
 )
 GOOD, ONE_JOINT, BODY = "good frames", "one joint fails", "a body fails"
-_RIGHT, _WRONG, _MISSED = 0.5, 1.0, 3.0  # head sizes
+_RIGHT, _MISSED = 0.5, 3.0  # head sizes
 _SHOWN = 8
 ShownFrames = Mapping[tuple[str, str], Sequence[tuple[Html, str]]]
 """By test and kind, frames as SVG with their captions."""
@@ -37,16 +36,16 @@ def chosen_frames(errors: ModelErrors, space: str) -> dict[str, list[int]]:
     far, head = (errors.error_px, errors.head_px) if space == "2d" else (errors.error_m, errors.head_m)
     off = np.where(np.isinf(far), _MISSED, np.minimum(far / head[:, None], _MISSED))  # (S, J) head sizes, NaN of no account
     counted = np.isfinite(off)
-    wrong, right = (off >= _WRONG) & counted, (off <= _RIGHT) | ~counted
+    wrong = (off > _RIGHT) & counted
     worst = np.where(counted, off, 0.0).max(axis=1, initial=0.0)
     mean = np.where(counted, off, 0.0).sum(axis=1) / np.maximum(counted.sum(axis=1), 1)
     people = np.asarray(counted.any(axis=1))
-    good = _people(errors, people & ~np.asarray(right.all(axis=1))) == 0
+    good = _people(errors, people & np.asarray(wrong.any(axis=1))) == 0
     good &= _people(errors, people) > 0
     of_frame = np.zeros(errors.frames)
     np.maximum.at(of_frame, errors.at, np.where(people, mean, 0.0))
     middle = float(np.median(of_frame[good])) if good.any() else 0.0
-    single = people & (wrong.sum(axis=1) == 1) & ((right | wrong).all(axis=1))
+    single = people & (wrong.sum(axis=1) == 1)
     body = people & (2 * wrong.sum(axis=1) >= counted.sum(axis=1))
     return {
         GOOD: _apart(errors, np.flatnonzero(good), np.abs(of_frame[good] - middle)),
