@@ -12,8 +12,7 @@ import torch
 from cabinpose.core.camera import Camera
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.segmentation import class_table, confusion, intersection_over_union
-from cabinpose.estimate.augment import mirrored_labels
-from cabinpose.estimate.data import StoredFrames, collate
+from cabinpose.estimate.data import StoredFrames, collate, mirrored_labels
 from cabinpose.estimate.predictor import load_model, open_model
 from cabinpose.estimate.training import TrainConfig, frame_spec
 from cabinpose.estimate.unet import fit

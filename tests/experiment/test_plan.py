@@ -309,7 +309,7 @@ def test_the_page_has_a_file_of_ones_own_and_every_key() -> None:
 
 def test_only_what_is_named_and_what_it_needs(tmp_path: Path) -> None:
     plan = planned("se1", "small", tmp_path)
-    assert [cell.name for cell in plan.chosen(["R1.2"])] == ["data real/P1", "data real/P2", "data real/P3", "R1.2", "R1.2 on S3"]
+    assert [cell.name for cell in plan.chosen(["R1.2"])] == ["data real", "R1.2", "R1.2 on S3"]
     assert plan.chosen(["R1.2 on S3"]) == plan.chosen(["R1.2"])
     assert all(cell in plan.chosen([cell.name]) for cell in plan.cells)
     assert [cell.name for cell in plan.chosen(["synthetic"])] == ["data synthetic"]
