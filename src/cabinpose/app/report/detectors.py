@@ -47,7 +47,7 @@ def page_html(
     dots = join(part for colour, name in colours for part in (el("i", class_="dot", style=f"background:{colour}"), name))
     first = reports[0]
     draws = first.settings["resamples"]
-    told = f"Small: 95 % interval. {first.settings['clusters']} sequences and single frames were drawn with replacement {draws} times."
+    told = f"Small: 95 % interval, {first.settings['clusters']} sequences and single frames drawn with replacement {draws} times."
     intervals = told if draws else "Without intervals."
     near = join(("Those nearest to the median frame's error. ", dots))
     coverage = join(remark(f"{r.model}: {r.caveats.coverage}") for r in reports if r.caveats.coverage)
