@@ -82,6 +82,23 @@ def test_the_graph_gives_the_joints_of_the_predictor(whole: dict[str, Path], cam
     np.testing.assert_allclose(camera.project(joints[0][:, own], folded=True), pixels[0][:, own], atol=1e-2)
 
 
+def test_a_graph_for_cars_with_the_wheel_on_the_right_names_the_front_row_so(tmp_path: Path) -> None:
+    """Whatever the network sees; and so does the model itself."""
+    camera = CAMERAS["pinhole"]
+    depth, light = frame(camera)
+    given = {"camera_k": camera.k, "camera_dist": np.array(camera.dist), "depth": depth[None], "amplitude": light[None]}
+    joints, told = {}, {}
+    for side in ("left", "right"):
+        model, whole = tmp_path / f"{side}.onnx", tmp_path / f"whole-{side}.onnx"
+        for out, more in ((model, []), (whole, ["--whole", "mm"])):
+            assert main(["export", "onnx", "in_car", "--drive-side", side, "--out", str(out), *more]) == 0
+        session = onnxruntime.InferenceSession(str(whole), providers=["CPUExecutionProvider"])
+        (joints[side],) = session.run(["joints_3d"], given)
+        told[side] = found(str(model), camera)
+        np.testing.assert_allclose(joints[side][0], told[side], atol=1e-4)
+    np.testing.assert_array_equal(joints["right"], joints["left"][:, ::-1])
+
+
 def test_it_says_what_it_is_and_is_no_model_for_the_package(whole: dict[str, Path]) -> None:
     said = json.loads({p.key: p.value for p in onnx.load(str(whole["mm"])).metadata_props}[WHOLE])
     assert (said["name"], said["unit"], said["persons"]) == ("in_car", "mm", ["driver", "front_passenger"])

@@ -61,17 +61,18 @@ class OnnxFormat(ModelFormat):
         calibrating = None if options.int8 is None else open_dataset(options.int8)
         with TemporaryDirectory() as folder:
             made = Path(folder) / "model.onnx"
+            last = out if calibrating is None and options.whole is None else made
             if source.suffix != ".onnx":
                 hint = "give a YAML file of `key: value` lines with --card"
                 card = {} if options.card is None else read_mapping(options.card, hint=hint)
-                last = out if calibrating is None and options.whole is None else made
                 name = options.name or out.stem
                 difference = export_onnx(
                     source, last, name=name, card=card, mirrored=options.mirrored, half=options.half, overwrite=overwrite
                 )
                 source = last
-                if options.drive_side is not None:
-                    write_copy(OnnxModel(source, threads=1), source, **{DRIVE_SIDE: options.drive_side})
+            if options.drive_side is not None:
+                write_copy(OnnxModel(source, threads=1), last, **{DRIVE_SIDE: options.drive_side})
+                source = last
             if calibrating is not None:
                 last = out if options.whole is None else made
                 write_int8(OnnxModel(source, threads=1), calibrating, last)
@@ -84,13 +85,14 @@ class OnnxFormat(ModelFormat):
 
 def _check_exported(model: Path, options: OnnxExport) -> None:
     """Raise ConfigError where an exported model is given, and there is nothing to be made of it."""
-    asked = [name for name in ("name", "card", "mirrored", "drive_side", "half") if getattr(options, name)]
+    asked = [name for name in ("name", "card", "mirrored", "half") if getattr(options, name)]
     if asked:
         raise ConfigError(
             f"{model} is exported already, without --{asked[0].replace('_', '-')}", hint="give the checkpoint of its training"
         )
-    if options.int8 is None and options.whole is None:
-        raise ConfigError(f"{model} is exported already", hint="--int8 DATASET or --whole m makes another of it")
+    if options.int8 is None and options.whole is None and options.drive_side is None:
+        hint = "--int8 DATASET, --whole m or --drive-side right makes another of it"
+        raise ConfigError(f"{model} is exported already", hint=hint)
 
 
 ONNX = OnnxFormat()

@@ -69,7 +69,8 @@ class _Back(nn.Module):
     def __init__(self, model: OnnxModel) -> None:
         super().__init__()
         self._view, count = model.config.view, len(model.joints)
-        self._drive_side, self._exchanged = model.drive_side, front_exchanged(model.persons)
+        self._drive_side = model.drive_side if "wheel" in model.answers else ""
+        self._exchanged = front_exchanged(model.persons)
         # Weights by which joints of one definition are told as another's: what they make of each joint alone.
         told = told_as(np.eye(count), model.joints, model.learnt, model.config.joint_set)
         self._told = torch.from_numpy(np.array(told, np.float64))
@@ -79,7 +80,7 @@ class _Back(nn.Module):
         wheel: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         """joints_3d (N, P, J, 3) m in the camera frame, joints_2d (N, P, J, 2) px, presence and score (N, P, J)."""
-        if wheel is not None:
+        if wheel is not None or self._drive_side == "right":
             joints, inside, visible, present = (self._seated(values, wheel) for values in (joints, inside, visible, present))
         uvz, view = joints.double(), self._view.camera
         xy = torch.stack(((uvz[..., 0] - view.cx) / view.fx, (uvz[..., 1] - view.cy) / view.fy), dim=-1)
@@ -89,11 +90,11 @@ class _Back(nn.Module):
         score = presence * torch.sigmoid(visible.double())
         return (self._told @ points).float(), (self._told @ pixels).float(), presence.float(), score.float()
 
-    def _seated(self, values: Tensor, wheel: Tensor) -> Tensor:
-        """Values (N, P, ...) with the front row exchanged where the wheel is on the right."""
+    def _seated(self, values: Tensor, wheel: Tensor | None) -> Tensor:
+        """Values (N, P, ...) with the front row exchanged where the wheel is on the right; without `wheel` everywhere."""
         exchanged = values[:, self._exchanged]
-        if self._drive_side:
-            return exchanged if self._drive_side == "right" else values
+        if wheel is None:
+            return exchanged
         return torch.where((wheel < RIGHT_BELOW).reshape(-1, *[1] * (values.ndim - 1)), exchanged, values)
 
 
