@@ -90,12 +90,15 @@ class NetworkMethod(Method[S]):
         Layers of the network that stay in float32 where an export is in eight bits.
     of_places
         Whether the network answers for the places one by one, so that its weights are for those places in that order.
+    channels_last
+        Whether it is trained with the channels of a pixel side by side in memory: what is faster was measured by method.
     """
 
     outputs: ClassVar[tuple[str, ...]]
     reads_onnx: ClassVar[bool] = False
     precise: ClassVar[tuple[str, ...]] = ()
     of_places: ClassVar[bool] = True
+    channels_last: ClassVar[bool] = False
 
     @abstractmethod
     def network(self, settings: S) -> nn.Module:

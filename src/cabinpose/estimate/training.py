@@ -278,6 +278,8 @@ def fit(
             detector.spare_batches = config.epochs * config.workers
         if start.init is not None and not last.exists():
             begin_with(detector, start.init, training)
+        if detector.method.channels_last:
+            detector.network.to(memory_format=torch.channels_last)
         with output_errors(out), alone(out, trainer), interruptible():
             trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"

@@ -28,6 +28,7 @@ class PafMethod(NetworkMethod[PafConfig]):
     settings_type = PafConfig
     outputs = ("fields", "heat", "presence")
     of_places = False
+    channels_last = True
     learning_rate = 4e-4
     weight_decay = 0.01
     room: ClassVar[Mapping[str, Any]] = MappingProxyType({"channels": 0.25, "depth_scale_m": 6.0})

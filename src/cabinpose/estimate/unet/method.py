@@ -25,6 +25,7 @@ class UnetMethod(NetworkMethod[UnetConfig]):
     settings_type = UnetConfig
     outputs = ("person", "parts")
     of_places = False
+    channels_last = True
     learning_rate = 1e-3
     weight_decay = 0.01
 
