@@ -28,7 +28,6 @@ import numpy as np
 import torch
 import yaml
 from lightning.pytorch.callbacks import Callback
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 import cabinpose
@@ -36,6 +35,7 @@ from cabinpose.app.models import opened_models
 from cabinpose.app.training import stored_frames
 from cabinpose.app.training_split import individuals
 from cabinpose.core import (
+    SIDE_NAMES,
     CabinposeError,
     ConfigError,
     DatasetError,
@@ -44,6 +44,7 @@ from cabinpose.core import (
     Visibility,
     make_folder,
     unknown_name,
+    wheel_sides,
     whole_file,
 )
 from cabinpose.estimate import (
@@ -400,7 +401,9 @@ def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
         if not dataset.sizes["frame"]:
             return {"frames": 0.0}
     if "vehicle_from_camera" in dataset:
-        dataset = dataset.assign_coords(drive_side=("frame", wheel_sides(dataset)))
+        hips = dataset["joints_3d"].sel(joint=["lpelvis", "rpelvis"]).values
+        sides = wheel_sides(hips, dataset["vehicle_from_camera"].values, dataset["person"].values)
+        dataset = dataset.assign_coords(drive_side=("frame", np.array(SIDE_NAMES)[sides]))
     (model,) = opened_models([str(path)], dataset)
     if isinstance(model, Segmenter):
         return {"IoU": evaluate_parts(dataset, model, resamples=0).value("IoU"), "frames": float(dataset.sizes["frame"])}
@@ -420,18 +423,6 @@ def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
         value = evaluate(dataset, seen, EvaluationOptions(resamples=0), persons=persons).value(metric, space, joints, at)
         values |= {} if value is None else {f"{EXCHANGED}, untold": float(value.value)}
     return values | {"frames": float(dataset.sizes["frame"])}
-
-
-def wheel_sides(dataset: Any) -> NDArray[np.str_]:
-    """(N,) the side of each frame's wheel, which a car knows: the driver's, or else not the front passenger's; "" for nobody."""
-    sides = np.full(dataset.sizes["frame"], "", "<U5")
-    left = dataset["vehicle_from_camera"].values[:, 1]
-    for person, its in (("front_passenger", ("right", "left")), ("driver", ("left", "right"))):
-        if person in dataset["person"].values:
-            hips = dataset["joints_3d"].sel(person=person, joint=["lpelvis", "rpelvis"]).values.mean(axis=1)
-            across = (left[:, :3] * hips).sum(axis=-1) + left[:, 3]
-            sides = np.where(np.isfinite(across), np.where(across > 0, *its), sides)
-    return sides
 
 
 def _table(before: Mapping[str, Mapping[str, float]], after: Mapping[str, Mapping[str, float]]) -> str:

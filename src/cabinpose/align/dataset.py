@@ -17,7 +17,7 @@ from cabinpose.align.judge import judge_head
 from cabinpose.align.project import Aligned, align_take, correct_by_depth
 from cabinpose.align.streams import camera_identity, equipment, naming
 from cabinpose.align.visibility import visibility
-from cabinpose.core import JOINTS, OCCUPANT_SLOTS, STANDING_SLOT, AlignmentError, DriveSide, apply, invert
+from cabinpose.core import JOINTS, OCCUPANT_SLOTS, SIDE_NAMES, STANDING_SLOT, AlignmentError, DriveSide, invert, wheel_sides
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
 from cabinpose.store import UNKNOWN, Manifest, Source, blank_frame, ticks_of_steps
 from cabinpose.store.convert import put_camera, put_person
@@ -25,7 +25,6 @@ from cabinpose.store.recording import Recording, Take, tof_frames
 
 POV = "tof"
 _ALL = np.arange(len(JOINTS))
-_FRONT = ("driver", "front_passenger")
 FLOATING_M = 0.02  # a joint farther before the surface is not inside the body that it belongs to
 
 
@@ -260,14 +259,12 @@ def _moved_cm(aligned: Aligned, kept: NDArray[np.bool_]) -> dict[str, float]:
 
 
 def _seen_side(people: Sequence[Aligned], places: Sequence[str], calibration: Calibration) -> str:
-    """The side of the wheel by where driver or front passenger sit in the car; "" where neither or no car is known."""
-    vehicle_from_camera = _vehicle_from_camera(calibration)
+    """The side of the wheel by where driver or front passenger sit in most frames; "" where neither or no car is known."""
+    vehicle_from_camera, sides = _vehicle_from_camera(calibration), 0
     for each, place in zip(people, places, strict=True):
-        if place in _FRONT and np.isfinite(vehicle_from_camera).all():
-            pelvis = each.joints[each.kept][:, [JOINTS.index("lpelvis"), JOINTS.index("rpelvis")]].mean(axis=1)
-            on_left = float(np.median(apply(vehicle_from_camera, pelvis)[:, 1])) > 0
-            return "left" if on_left == (place == "driver") else "right"
-    return ""
+        hips = each.joints[each.kept][:, None, [JOINTS.index("lpelvis"), JOINTS.index("rpelvis")]]
+        sides += int(wheel_sides(hips, vehicle_from_camera, [place]).sum(dtype=np.int64))
+    return SIDE_NAMES[int(np.sign(sides))]
 
 
 def _other_side(aligned: _AlignedTake, calibration: Calibration) -> str:

@@ -75,9 +75,11 @@ from .ports import require_images as require_images
 from .ports import unseen_words as unseen_words
 from .ports import without_numbers as without_numbers
 from .pose import OCCUPANT_SLOTS as OCCUPANT_SLOTS
+from .pose import SIDE_NAMES as SIDE_NAMES
 from .pose import STANDING_SLOT as STANDING_SLOT
 from .pose import DriveSide as DriveSide
 from .pose import Visibility as Visibility
+from .pose import wheel_sides as wheel_sides
 from .registry import Registry as Registry
 from .registry import one_of as one_of
 from .segmentation import Part as Part

@@ -16,7 +16,17 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch.utils.data import ConcatDataset, Dataset, IterableDataset
 
-from cabinpose.core import CABINPOSE, SKELETONS, DatasetError, Visibility, camera_from, has_joint_map, told_as
+from cabinpose.core import (
+    CABINPOSE,
+    SIDE_NAMES,
+    SKELETONS,
+    DatasetError,
+    Visibility,
+    camera_from,
+    has_joint_map,
+    told_as,
+    wheel_sides,
+)
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import TICK_M, InputView, Kept, channels_first
@@ -231,22 +241,13 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
 def _wheel(frame: Mapping[str, Any], spec: FrameSpec, joints: NDArray[np.float64]) -> int:
     """1 for a wheel on the left, -1 on the right, 0 where there is none or nothing says it. joints: (P, J, 3) m.
 
-    A frame that does not say it has its front row at hand: the driver sits behind the wheel. Where benches face each other, and
-    left hips lie to the right in the vehicle, there is none.
+    A frame that does not say it has its front row at hand: the driver sits behind the wheel.
     """
-    said = {"left": 1, "right": -1}.get(str(frame.get("drive_side", "")), 0)
-    front = {"driver": 1, "front_passenger": -1}
+    said = SIDE_NAMES.index(str(frame.get("drive_side", "")))
     if said or spec.skeleton != CABINPOSE.name or "vehicle_from_camera" not in frame:
-        return said
-    vehicle_from_camera = np.asarray(frame["vehicle_from_camera"], dtype=np.float64)
-    left, right = (CABINPOSE.index[name] for name in ("lpelvis", "rpelvis"))
-    hips = joints[:, [left, right]] @ vehicle_from_camera[1, :3] + vehicle_from_camera[1, 3]  # (P, 2) m to the left
-    sides = [
-        front[slot] * np.sign(hips[i].mean())
-        for i, slot in enumerate(spec.slots)
-        if slot in front and hips[i, 0] > hips[i, 1]  # False where nobody is
-    ]
-    return int(np.sign(sum(sides)))
+        return -1 if SIDE_NAMES[said] == "right" else said
+    hips = joints[:, [CABINPOSE.index["lpelvis"], CABINPOSE.index["rpelvis"]]]
+    return int(wheel_sides(hips, np.asarray(frame["vehicle_from_camera"], dtype=np.float64), spec.slots))
 
 
 def mirrored_labels() -> NDArray[np.uint8]:
