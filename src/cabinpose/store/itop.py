@@ -29,7 +29,9 @@ _MOST_LEVELS = 1000  # the camera has 650 between 0.5 m and 10 m: frames of more
 _NEAR = 2.5  # 1 / scaled depth; nearer than that the levels are finer than the numbers of the file
 # ITOP's labels lie nearer to the camera than the joints of a body: those of arms on the skin that the camera sees, those of
 # the trunk half as deep as its middle, the head's in its middle. How much nearer, in round numbers, per joint.
-_NEARER_M = np.array([{"head": 0.0, "hand": 0.04, "foot": 0.04}.get(name.lstrip("rl"), 0.08) for name in ITOP.joints])
+_NEARER_M = np.array(
+    [{"head": 0.0, "hand": 0.04, "knee": 0.04, "foot": 0.04}.get(name.lstrip("rl"), 0.08) for name in ITOP.joints]
+)
 _UP_TO_DOWN = np.array([1.0, -1.0, 1.0])
 # The labels of the top view are those of the side view, turned by 90 degrees and shifted, in the side view's scale. Scale and
 # tilt are measured on the depth of both views; the shift is read off floor, heads and their labels (docs/itop-comparison.md).
