@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -59,9 +60,25 @@ from cabinpose.estimate import (
     write_copy,
 )
 from cabinpose.estimate.onnx_model import OnnxModel
-from cabinpose.evaluate import PEOPLE, EvaluationOptions, evaluate, evaluate_parts, predict_dataset
+from cabinpose.evaluate import (
+    PEOPLE,
+    EvaluationOptions,
+    evaluate,
+    evaluate_itop,
+    evaluate_parts,
+    itop_summary,
+    predict_dataset,
+)
 from cabinpose.scene.sensor import SENSORS
-from cabinpose.store import Predictions, open_dataset, read_mapping, validated
+from cabinpose.store import (
+    Predictions,
+    as_labelled,
+    open_dataset,
+    read_itop_frames,
+    read_itop_reference,
+    read_mapping,
+    validated,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 RECIPES, PACKAGE = ROOT / "docs" / "models", ROOT / "src" / "cabinpose" / "estimate" / "models"
@@ -107,6 +124,7 @@ class Row(_Table):
     top_reflects_below: float | None = None
     empty: bool = False
     blind: Literal["", "nan", "wall", "hand"] = ""
+    itop: Literal["", "side", "top"] = ""
 
 
 class Round(_Table):
@@ -313,6 +331,8 @@ class Campaign:
                 frames = blind_frames(row.blind, min(row.frames, self.most or row.frames), rng=_rng(row.seed))
                 presence = cabinpose.load_model(path).predict(frames).presence
                 figures[name] = {"false people": 100.0 * float((presence >= PRESENT).any(axis=-1).mean())}
+            elif row.itop:
+                figures[name] = _itop_figures(path, row.itop)
             else:
                 figures[name] = _figures(open_dataset(self.made(name, row, "test", Deadline(600))), path, row)
             print(f"{path.stem}, {name}: {_told(figures[name])}", flush=True)
@@ -391,6 +411,23 @@ def blind_frames(kind: str, count: int, *, rng: np.random.Generator) -> FrameBat
         camera_dist=np.array(camera.dist),
         amplitude=amplitude.astype(np.uint16),
     )
+
+
+def _itop_figures(path: Path, view: Literal["side", "top"]) -> dict[str, float]:
+    """The figures of a model on ITOP's real frames below the folder of CABINPOSE_REAL_DATA; {} without it.
+
+    Joints are brought to where the labels lie (docs/itop-comparison.md); "not moved", they are not.
+    """
+    if not (folder := os.environ.get("CABINPOSE_REAL_DATA")):
+        return {}
+    file = Path(folder) / "itop" / f"itop_{'front' if view == 'side' else 'top'}_64.npz"
+    reference, found = read_itop_reference(file), cabinpose.load_model(path).predict(read_itop_frames(file)).joints_3d[:, 0]
+    options = EvaluationOptions(resamples=0)
+    moved, still = (itop_summary(evaluate_itop(reference, joints, options)) for joints in (as_labelled(found, view), found))
+    return {
+        "within 10 cm": moved["within_10cm"], "not moved": still["within_10cm"], "mean 3D, cm": moved["mean_cm"],
+        "frames": moved["frames"],
+    }  # fmt: skip
 
 
 def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
