@@ -81,6 +81,29 @@ def test_arms_are_raised_about_as_often_as_in_itop(real_data: Callable[[str], Pa
         assert a == pytest.approx(b, abs=0.09), count
 
 
+def test_who_stands_is_aligned_as_measured_in_profile() -> None:
+    """Woodhull et al. 1985 (Eur J Appl Physiol 54:109): fifteen people, cm ahead of the ankle, symmetrical standing."""
+    ahead, knees = [], []
+    for k, subject in enumerate(list(SUBJECTS.values())[:3]):
+        person, rng = BodyModel.load().person(*subject), np.random.default_rng(k)
+        for pose in (sample_standing(person, rng=rng) for _ in range(90)):
+            if pose.action == "arms_hang":
+                joints = person.joints(pose.q, pose.floor_from_root)
+                at = {n: joints[[CABINPOSE.index[s + n] for s in "lr"]] for n in ("ankle", "knee", "pelvis", "shoulder")}
+                at["head"] = joints[[CABINPOSE.index["head"]]]
+                ahead.append([100 * float(at[n][:, 0].mean() - at["ankle"][:, 0].mean()) for n in at])
+                thigh, shin = at["pelvis"] - at["knee"], at["knee"] - at["ankle"]
+                cosines = (thigh * shin).sum(axis=1) / np.linalg.norm(thigh, axis=1) / np.linalg.norm(shin, axis=1)
+                knees += np.degrees(np.arccos(np.clip(cosines, -1, 1))).tolist()
+    assert len(ahead) > 25
+    _, knee, hip, shoulder, head = np.mean(ahead, axis=0)
+    assert knee == pytest.approx(3.8, abs=2.5)
+    assert hip == pytest.approx(6.2, abs=0.6)
+    assert shoulder == pytest.approx(3.8, abs=2.5)
+    assert head == pytest.approx(5.9, abs=2.5)  # theirs is the ear
+    assert np.median(knees) < 10
+
+
 def directions(points: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     segments = (
         ("arm", "shoulder", "elbow"), ("forearm", "elbow", "wrist"), ("thigh", "pelvis", "knee"), ("shin", "knee", "ankle"),
