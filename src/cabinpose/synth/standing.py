@@ -63,8 +63,8 @@ class Stance(NamedTuple):
     hips · drop: of the pelvis below straight legs · pitch: of the pelvis, forward · bend: lumbar flexion · shift: of the
     pelvis to a side · lifted: hip flexion, hip abduction and knee flexion of a leg off the floor, or None.
 
-    Who stands has the hips 6.2 cm (sigma 1.3) ahead of the ankles (Woodhull et al. 1985, fifteen people in profile), and the knees
-    nearly straight; the other stances are assumed.
+    Who stands has the hips 6.2 cm (sigma 1.3) ahead of the ankles (Woodhull et al. 1985, fifteen people in profile), and
+    the knees nearly straight; the other stances are assumed.
     """
 
     width: Spread = (0.0, 0.03)
