@@ -36,7 +36,6 @@ from cabinpose.app.models import opened_models
 from cabinpose.app.training import stored_frames
 from cabinpose.app.training_split import individuals
 from cabinpose.core import (
-    SIDE_NAMES,
     CabinposeError,
     ConfigError,
     DatasetError,
@@ -45,7 +44,6 @@ from cabinpose.core import (
     Visibility,
     make_folder,
     unknown_name,
-    wheel_sides,
     whole_file,
 )
 from cabinpose.estimate import (
@@ -78,6 +76,7 @@ from cabinpose.store import (
     read_itop_reference,
     read_mapping,
     validated,
+    with_drive_side,
 )
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -437,10 +436,7 @@ def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
         dataset = dataset.isel(frame=np.flatnonzero(top < row.top_reflects_below))
         if not dataset.sizes["frame"]:
             return {"frames": 0.0}
-    if "vehicle_from_camera" in dataset:
-        hips = dataset["joints_3d"].sel(joint=["lpelvis", "rpelvis"]).values
-        sides = wheel_sides(hips, dataset["vehicle_from_camera"].values, dataset["person"].values)
-        dataset = dataset.assign_coords(drive_side=("frame", np.array(SIDE_NAMES)[sides]))
+    dataset = with_drive_side(dataset)
     (model,) = opened_models([str(path)], dataset)
     if isinstance(model, Segmenter):
         return {"IoU": evaluate_parts(dataset, model, resamples=0).value("IoU"), "frames": float(dataset.sizes["frame"])}

@@ -14,6 +14,7 @@ from .frames import label_colours as label_colours
 from .frames import label_table as label_table
 from .frames import people as people
 from .frames import png as png
+from .frames import with_drive_side as with_drive_side
 from .frames import write_png as write_png
 from .itop import ItopReference as ItopReference
 from .itop import as_labelled as as_labelled

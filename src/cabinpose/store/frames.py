@@ -18,6 +18,7 @@ from cabinpose.core import (
     IMAGES,
     JOINT_DEFINITIONS,
     RIG,
+    SIDE_NAMES,
     SKELETONS,
     Camera,
     DatasetError,
@@ -25,6 +26,7 @@ from cabinpose.core import (
     Visibility,
     camera_from,
     skeleton_with,
+    wheel_sides,
 )
 from cabinpose.store.variables import joint_dimension
 
@@ -44,6 +46,15 @@ def camera_of(frame: xr.Dataset, width: int, height: int) -> Camera:
     """The checked camera of one frame of a dataset. Raises DatasetError where it cannot be, or is not known."""
     k, dist = frame["camera_k"].values, frame["camera_dist"].values
     return camera_from(k, dist, width, height, whose="the dataset's camera_k", error=DatasetError)
+
+
+def with_drive_side(dataset: xr.Dataset) -> xr.Dataset:
+    """The dataset with its `drive_side`; one without it gets that of the people in front, as far as their places tell it."""
+    if "drive_side" in dataset or "vehicle_from_camera" not in dataset or CABINPOSE.joints != tuple(dataset["joint"].values):
+        return dataset
+    hips = dataset["joints_3d"].sel(joint=["lpelvis", "rpelvis"]).values
+    sides = wheel_sides(hips, dataset["vehicle_from_camera"].values, dataset["person"].values)
+    return dataset.assign_coords(drive_side=("frame", np.array(SIDE_NAMES)[sides]))
 
 
 @dataclass(frozen=True)

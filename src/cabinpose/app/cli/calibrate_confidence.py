@@ -52,6 +52,7 @@ def run(command: CalibrateConfidence) -> None:
     from cabinpose.app.cli.selection import opened, selected
     from cabinpose.estimate import FEWEST, METADATA_KEY, fit_expected_error, load_model, write_copy
     from cabinpose.evaluate import EvaluationOptions
+    from cabinpose.store import with_drive_side
 
     check_output(command.out, parents=False)
     options = EvaluationOptions(presence=command.presence)
@@ -61,7 +62,7 @@ def run(command: CalibrateConfidence) -> None:
         raise ModelError(f"{path} is written again as a file of its kind", hint=f"let --out end in {path.suffix}")
     if command.out.exists() and not command.overwrite:
         raise ModelError(f"{command.out} exists", hint="--overwrite replaces it, or give another file with --out")
-    dataset = selected(opened(command.dataset), command)
+    dataset = with_drive_side(selected(opened(command.dataset), command))  # whose seat it is, is no question of how far off
     frames = dataset.sizes["frame"]
     with progress(frames, "frames") as report:
         known, error_m, joints = _measured(dataset, model, options, report)
