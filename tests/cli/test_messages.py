@@ -259,7 +259,11 @@ def test_a_reader_that_leaves_gets_no_traceback() -> None:
         assert process.stderr.read() == ""
 
 
-CHOICES = [(("--select", "car=sedan,van", "pov=driver"), 3), (("--splits", "splits.yaml", "--split", "test"), 1)]
+CHOICES = [
+    (("--select", "car=sedan,van", "pov=driver"), 3),
+    (("--select", "car/2=1"), 3),  # of coupe, sedan, van: the first and the third
+    (("--splits", "splits.yaml", "--split", "test"), 1),
+]
 
 
 @pytest.mark.parametrize(("flags", "count"), CHOICES)
@@ -287,6 +291,9 @@ def test_every_verb_chooses_frames_alike(run: Run, here: Path, flags: tuple[str,
             "`cabinpose info` counts the frames by coordinate",
         ),
         ("--select colour=red", "unknown coordinate 'colour'", "known: action, car, pov, sequence, subject"),
+        ("--select car/9=4", "the dataset has no car/9 4", "it has: 1, 2, 3"),
+        ("--select car/2=3", "--select: car/2 has no fold 3", "folds are counted from 1"),
+        ("--select car/2=one", "'car/2=one': folds are numbers", "write --select car/2=1,2"),
         ("--split test", "a split needs its file and its name", "give both --splits FILE and --split NAME"),
     ],
 )

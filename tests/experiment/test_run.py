@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +17,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+import torch
 from distributed import LocalCluster
 
 from cabinpose.app.experiment.cells import ExperimentCell, _sides
@@ -20,6 +26,7 @@ from cabinpose.app.experiment.page import refuse_other
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
 from cabinpose.app.experiment.results import cell_text
 from cabinpose.app.experiment.schedule import make_cells
+from cabinpose.app.report import raster
 from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError
 from cabinpose.estimate import TrainConfig, frame_spec
@@ -74,8 +81,9 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     records = {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")}
     assert len(records) == 5
 
-    stamp = page.stat().st_mtime_ns
+    stamp, began = page.stat().st_mtime_ns, time.process_time()
     again = run("experiment", "run", write(), *words)
+    assert time.process_time() - began < 5.0
     assert json.loads(again.out)["made"] == 0
     assert page.stat().st_mtime_ns == stamp
     assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("cell.json")} == records
@@ -107,6 +115,45 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     refuse_other(moved, asked)
     with pytest.raises(ConfigError, match="has the page of another --data"):
         refuse_other(moved, asked | {"data": {"real": "my-cars"}})
+
+
+@pytest.mark.slow
+def test_a_kill_loses_the_epoch_under_way_at_most(
+    write: Write, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After kill -9 no whole epoch is trained again, and the model is the one that would have been."""
+    epochs, drawn = 6, list[int]()
+    words = ("experiment", "run", write({"scales": {"paper": {"steps": 10 * epochs, "epochs": epochs}}}), "--scale", "paper")
+    command = [sys.executable, "-m", "cabinpose", *map(str, words), "--out", str(tmp_path / "killed"), "--workers", "1"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        while process.poll() is None and sum(len(path.read_text().splitlines()) for path in metrics(tmp_path / "killed")) < 3:
+            time.sleep(0.01)
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    (last,) = (tmp_path / "killed" / "trained").glob("*/last.ckpt")
+    whole = torch.load(last, weights_only=False)["epoch"] + 1
+    assert whole >= 1
+    assert not last.with_name("cell.json").exists()
+    for name in ("data", "made"):
+        shutil.copytree(tmp_path / "killed" / name, tmp_path / "undisturbed" / name)
+    monkeypatch.setattr(raster, "write_curves", lambda *_: drawn.append(1))  # once an epoch
+    assert run(*words, "--out", tmp_path / "killed", "--workers", 1).code == 0
+    assert len(drawn) == epochs - whole
+    assert run(*words, "--out", tmp_path / "undisturbed", "--workers", 1).code == 0
+    assert len(drawn) == 2 * epochs - whole
+    tables: list[Any] = []
+    models: list[dict[str, Any]] = []
+    for name in ("killed", "undisturbed"):
+        (table,) = metrics(tmp_path / name)
+        (model,) = (tmp_path / name / "trained").glob("*/last.ckpt")
+        tables.append(np.loadtxt(table, delimiter=",", skiprows=1))
+        models.append(torch.load(model, weights_only=False)["state_dict"])
+    np.testing.assert_allclose(*tables, rtol=1e-5)  # of validation, sums in float32 whose order depends on where arrays lie
+    assert all(torch.equal(models[0][key], models[1][key]) for key in models[1])
+
+
+def metrics(out: Path) -> list[Path]:
+    return list(out.glob("trained/*/log/metrics.csv"))
 
 
 def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_path: Path) -> None:

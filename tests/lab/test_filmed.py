@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cabinpose.app.lab import filmed
 from cabinpose.app.lab.filmed import _LEAD_S, FilmedMotion, FilmedSession, FilmedSubject, _Films, record_films
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core import CABINPOSE
+from cabinpose.core.errors import SceneError
 from cabinpose.scene.body import BONE_INDEX
 from cabinpose.store import open_dataset
 from cabinpose.synth import SynthConfig
@@ -52,6 +54,22 @@ def test_a_take_is_the_film_after_turns_of_the_head() -> None:
     facing = np.degrees(Rotation.from_matrix(motion.bones(time)[0][:, BONE_INDEX["head"]]).as_euler("ZYX", degrees=False))
     assert np.ptp(facing, axis=0).min() > 10.0  # about every axis
     assert motion.duration_s == pytest.approx(_LEAD_S + 11 / 5.0 + 0.4)
+
+
+@pytest.mark.parametrize(("jitter_m", "written"), [(0.0, 3), (0.02, 2)])
+def test_a_camera_that_moves_between_takes_is_refused(
+    jitter_m: float, written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first take says where it is; the third is another sequence of its activity, before which cameras are placed anew."""
+    takes: list[Path] = []
+    monkeypatch.setattr(filmed, "_calibration_takes", lambda *_: None)
+    monkeypatch.setattr(filmed, "_write_take", lambda path, *_, **__: takes.append(path))
+    monkeypatch.setattr(filmed.Session, "load", lambda _: pytest.fail("no take was refused"))
+    rig = session(frames=30, camera={**PLAIN["camera"], "jitter_m": jitter_m})
+    refused = pytest.raises(SceneError, match="the camera of a rig stays where it is")
+    with refused if jitter_m else pytest.raises(pytest.fail.Exception, match="no take was refused"):
+        record_films(rig, tmp_path / "recordings", tmp_path / "dataset")
+    assert len(takes) == written
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ _MODULES = MappingProxyType(
         "bench": ("psutil",),
         "remote": ("grpc", "tritonclient"),
         "studio": ("nicegui",),
+        "cluster": ("distributed",),
     }
 )
 
@@ -24,7 +25,7 @@ def require(*extras: str) -> None:
     Parameters
     ----------
     *extras
-        Names of extras of the package: "record", "train", "bench", "remote", "studio".
+        Names of extras of the package: "record", "train", "bench", "remote", "studio", "cluster".
 
     Raises
     ------

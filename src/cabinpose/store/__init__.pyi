@@ -69,12 +69,15 @@ from .split import held_out as held_out
 from .split import in_ranges as in_ranges
 from .split import merged_ranges as merged_ranges
 from .split import number_at_first as number_at_first
+from .split import parse_selection as parse_selection
 from .split import parse_splits as parse_splits
 from .split import people_of as people_of
 from .split import read_splits as read_splits
 from .split import split_dataset as split_dataset
 from .split import split_datasets as split_datasets
 from .split import told_apart as told_apart
+from .split import unfolded as unfolded
+from .split import values_of as values_of
 from .strokes import PERSON_COLOUR as PERSON_COLOUR
 from .strokes import Colour as Colour
 from .strokes import Image as Image

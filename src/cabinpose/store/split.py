@@ -14,7 +14,8 @@ frames of each dataset; `datasets: {own-car: {subject: [A]}, scenes: all, lab: n
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -47,49 +48,48 @@ def parse_splits(data: Any, source: Path | str) -> dict[str, dict[str, Any]]:
     """The splits that plain data describes; `DatasetError` for unknown keys, empty lists, numbers that cannot be, or overlap."""
     if not isinstance(data, Mapping) or not data:
         raise DatasetError(f"{source} holds no splits", hint="write `name: {coordinate: [values]}`, one line a split")
-    splits = {str(name): _selection(selection, f"split '{name}'", source) for name, selection in data.items()}
+    splits = {str(name): parse_selection(selection, f"{source}: split '{name}'") for name, selection in data.items()}
     _refuse_overlap(splits, source)
     return splits
 
 
-def _selection(data: Any, what: str, source: Path | str) -> dict[str, Any]:
+def parse_selection(data: Any, where: str) -> dict[str, Any]:
+    """The selection that plain data describes; where: what errors call it. `DatasetError` as for `parse_splits`."""
     if not isinstance(data, Mapping) or not data or set(data) == {FRAMES}:
-        raise DatasetError(f"{source}: {what} selects nothing", hint=f"name some of: {', '.join(COORDINATES)}")
+        raise DatasetError(f"{where} selects nothing", hint=f"name some of: {', '.join(COORDINATES)}")
     found: dict[str, Any] = {}
     for key, values in data.items():
         if key == DATASETS:
-            found[key] = _by_dataset(values, what, source)
+            found[key] = _by_dataset(values, where)
         elif key == FRAMES:
             if not isinstance(values, int) or isinstance(values, bool) or values < 1:
-                raise DatasetError(f"{source}: {what}: {values!r} frames cannot be drawn", hint="write frames: 500")
+                raise DatasetError(f"{where}: {values!r} frames cannot be drawn", hint="write frames: 500")
             found[key] = values
         else:
             coordinate, many, _ = str(key).partition("/")  # many: "/" where there are folds
             if coordinate not in COORDINATES or (many and _folds(str(key)) is None):
                 known = f"known coordinates: {', '.join(COORDINATES)}; {FRAMES}, {DATASETS}, and folds such as subject/5"
-                raise DatasetError(f"{source}: {what} selects by '{key}'", hint=known)
+                raise DatasetError(f"{where} selects by '{key}'", hint=known)
             if isinstance(values, str) or not isinstance(values, Sequence) or not values:
-                raise DatasetError(f"{source}: {what}: {key} is no list of values", hint=f"write {key}: [a, b]")
+                raise DatasetError(f"{where}: {key} is no list of values", hint=f"write {key}: [a, b]")
             if many and (wrong := [value for value in values if value not in range(1, (_folds(str(key)) or 0) + 1)]):
-                raise DatasetError(f"{source}: {what}: {key} has no fold {wrong[0]!r}", hint="folds are counted from 1")
+                raise DatasetError(f"{where}: {key} has no fold {wrong[0]!r}", hint="folds are counted from 1")
             found[str(key)] = tuple(values)
     return found
 
 
-def _by_dataset(data: Any, what: str, source: Path | str) -> dict[str, dict[str, Any] | None]:
+def _by_dataset(data: Any, where: str) -> dict[str, dict[str, Any] | None]:
     """By the name of a dataset's folder: its own selection, {} for all of its frames, None for none of them."""
     if not isinstance(data, Mapping) or not data:
-        raise DatasetError(
-            f"{source}: {what}: {DATASETS} names none", hint="write datasets: {own-car: {subject: [A]}, scenes: all}"
-        )
+        raise DatasetError(f"{where}: {DATASETS} names none", hint="write datasets: {own-car: {subject: [A]}, scenes: all}")
     found: dict[str, dict[str, Any] | None] = {}
     for name, selection in data.items():
         if selection in (_ALL, _NONE):
             found[str(name)] = {} if selection == _ALL else None
             continue
-        found[str(name)] = _selection(selection, f"{what}, {name}", source)
+        found[str(name)] = parse_selection(selection, f"{where}, {name}")
         if DATASETS in (found[str(name)] or {}):
-            raise DatasetError(f"{source}: {what}: {name} names datasets itself", hint="name them beside each other")
+            raise DatasetError(f"{where}: {name} names datasets itself", hint="name them beside each other")
     return found
 
 
@@ -177,35 +177,61 @@ def _refuse_unknown(datasets: Sequence[xr.Dataset], selection: Selection) -> Non
         raise DatasetError(f"{which} no {name} {', '.join(map(repr, unknown))}", hint=f"{who}: {', '.join(map(str, known))}")
 
 
-def _column(dataset: xr.Dataset, name: str) -> NDArray[Any]:
-    """A coordinate, or the fold of its values: dealt out to the folds one after the other, in their order; 0 of nobody."""
-    coordinate, _, many = name.partition("/")
-    values = dataset[coordinate].values
-    if not many:
-        return np.asarray(values)
-    if values.dtype.kind == "O":
-        values = values.astype(str)
-    there = np.array(sorted(_values(dataset, coordinate)), values.dtype)
-    number = np.searchsorted(there, values) % int(many) + 1
-    return np.where(values == "", 0, number) if values.dtype.kind == "U" else number
+def values_of(dataset: xr.Dataset, coordinate: str) -> set[Any]:
+    """The values that frames of a dataset have of a coordinate, without those of nobody."""
+    return set(dataset[coordinate].values.ravel().tolist()) - {""}
 
 
 def _values(dataset: xr.Dataset, name: str) -> set[Any]:
-    values = _column(dataset, name).ravel().tolist()
-    return {value for value in values if value != ""} - ({0} if "/" in name else set())
+    """The values of a coordinate, or the folds that have some of them."""
+    coordinate, _, many = name.partition("/")
+    there = values_of(dataset, coordinate)
+    return set(_dealt_out(there, int(many)).values()) if many else there
+
+
+def _dealt_out(values: Collection[Any], many: int) -> dict[Any, int]:
+    """The fold of each value, from 1: dealt out to the folds one after the other, in their order."""
+    return {value: number % many + 1 for number, value in enumerate(sorted(values))}
+
+
+def unfolded(selection: Selection, there: Callable[[str], Collection[Any] | None]) -> dict[str, Any]:
+    """A selection with the values of its folds in place of the folds.
+
+    Parameters
+    ----------
+    selection
+        Of a single dataset. Where it names several of a coordinate, as values or as folds, what they have in common is taken.
+    there
+        The values of a coordinate that folds are of, all of them; None: not known yet, and its folds stay folds.
+
+    Returns
+    -------
+    dict
+        By coordinate its values; none, (), where a fold has none.
+    """
+    found: dict[str, Any] = {}
+    for key, wanted in selection.items():
+        name, folded, many = key.partition("/")
+        if folded and (known := there(name)) is not None:
+            folds = _dealt_out(known, int(many))
+            members = tuple(value for value, fold in folds.items() if fold in wanted)
+        else:
+            name, members = key, wanted
+        found[name] = members if name not in found else tuple(value for value in members if value in found[name])
+    return found
 
 
 def _mask(dataset: xr.Dataset, selection: Selection) -> NDArray[np.bool_]:
     own = _of(selection, _name(dataset))
     mask = np.full(dataset.sizes["frame"], own is not None)
-    for name, wanted in (own or {}).items():
+    for name, wanted in unfolded(own or {}, partial(values_of, dataset)).items():
         if name == FRAMES:
             continue
-        values, known = _column(dataset, name), _values(dataset, name)
+        values, known = dataset[name].values, values_of(dataset, name)
         # A longer name, cut to the width of the dataset's strings, could become another one: only known values are compared.
         chosen = np.isin(values, np.array([value for value in wanted if value in known], dtype=values.dtype))
         if values.ndim == 2:  # (frame, person)
-            absent = values == (0 if "/" in name else "")
+            absent = values == ""
             mask &= (chosen | absent).all(axis=1) & ~absent.all(axis=1)
         else:
             mask &= chosen

@@ -112,7 +112,7 @@ class SelectsFrames(PrintsJson):
     split: Annotated[Maybe[str], arg(metavar="NAME")] = None
     """Only the frames of this split."""
     select: Annotated[tuple[str, ...], several("NAME=VALUE[,VALUE] ...")] = ()
-    """Only frames with these values of subject, action, car, pov or sequence."""
+    """Only frames with these values of subject, action, car, pov or sequence, or of their folds (subject/5=1)."""
     where: Annotated[Maybe[str], arg(metavar="CONDITION")] = None
     """Only frames for which this holds: 'car == "suv" and people > 1 and not action == "sleep"'."""
 

@@ -113,15 +113,28 @@ class BenchStudio(PrintsJson):
     """Frames that are gone through by arrow keys."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchCluster(PrintsJson):
+    """Measure experiments on a cluster: equal cells by two Dask workers of one thread against one. Linux alone."""
+
+    cells: int = 8
+    """Trainings of a run."""
+    repeats: int = 3
+    """Rounds in which one worker and two make the cells; the median of their ratios is reported."""
+
+
 COMMAND = one_of(
-    synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote, live=BenchLive, studio=BenchStudio
-)
+    synth=BenchSynth, detect=BenchDetect, record=BenchRecord, lab=BenchLab, remote=BenchRemote, live=BenchLive,
+    studio=BenchStudio, cluster=BenchCluster,
+)  # fmt: skip
 
 
-def run(command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote | BenchLive | BenchStudio) -> None:
+def run(
+    command: BenchSynth | BenchDetect | BenchRecord | BenchLab | BenchRemote | BenchLive | BenchStudio | BenchCluster,
+) -> None:
     """Measure; stderr tells what is being measured."""
     name = type(command).__name__.removeprefix("Bench").lower()
-    extras = {"record": ("record", "bench"), "lab": ("record",), "live": ("record",)}
+    extras = {"record": ("record", "bench"), "lab": ("record",), "live": ("record",), "cluster": ("cluster", "train")}
     require(*extras.get(name, (name,) if name in ("remote", "studio") else ()))
     flags = {key: value for key, value in vars(command).items() if key != "as_json"}
     if isinstance(command, BenchDetect):

@@ -19,6 +19,7 @@ from cabinpose.store import (
     frames_where,
     labels_of,
     open_dataset,
+    parse_selection,
     query_columns,
     read_manifest,
     read_splits,
@@ -50,22 +51,22 @@ def frames_with(dataset: xr.Dataset, selections: Sequence[Selection], where: str
 
 
 def selection(words: Sequence[str]) -> Selection:
-    """The selection of the words after --select; ConfigError for a word that is not NAME=VALUE[,VALUE]."""
+    """The selection of the words after --select; ConfigError or DatasetError for a word that is not NAME=VALUE[,VALUE]."""
     found: dict[str, tuple[Any, ...]] = {}
     for word in words:
         name, equals, values = word.partition("=")
         if not equals or not values:
             raise ConfigError(f"'{word}' selects nothing", hint="write --select car=sedan,van subject=S01")
-        if name not in COORDINATES:
-            raise unknown_name("coordinate", name, COORDINATES)
-        chosen = tuple(values.split(","))
-        if name == "sequence":
-            if not all(value.isdigit() for value in chosen):
-                raise ConfigError(f"'{word}': sequences are numbers", hint="write --select sequence=0,1")
-            found[name] = tuple(int(value) for value in chosen)
-        else:
-            found[name] = chosen
-    return found
+        coordinate, folds, _ = name.partition("/")
+        if coordinate not in COORDINATES:
+            raise unknown_name("coordinate", coordinate, COORDINATES)
+        found[name] = chosen = tuple(values.split(","))
+        if coordinate == "sequence" or folds:
+            if not all(value.isdecimal() for value in chosen):
+                what = "folds" if folds else "sequences"
+                raise ConfigError(f"'{word}': {what} are numbers", hint=f"write --select {name}=1,2")
+            found[name] = tuple(map(int, chosen))
+    return parse_selection(found, "--select") if found else {}
 
 
 def _split(file: Path | None, name: str | None) -> list[Selection]:

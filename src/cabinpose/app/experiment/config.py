@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.evaluate import Measure
-from cabinpose.store import read_mapping, validated
+from cabinpose.store import parse_selection, read_mapping, validated
 
 HINT = "docs/experiments.md lists the keys"
 _DEPTH = 8  # files that build on each other
@@ -58,7 +58,7 @@ class Data(Keys):
 
 
 class FrameSelection(Keys):
-    """Some frames of a dataset."""
+    """Some frames of a dataset; keys such as subject/5 are folds, as in files of splits."""
 
     data: str = Field(description="Name of a dataset of the file.")
     frames: Positive | None = Field(None, description="How many are drawn; left out: all that the selection has.")
@@ -68,14 +68,39 @@ class FrameSelection(Keys):
     action: tuple[str, ...] = Field((), description="Everybody in the frame does one of these.")
     pov: tuple[str, ...] = Field((), description="Views.")
     sequence: tuple[int, ...] = Field((), description="Sequences, by number.")
+    folds: Mapping[str, tuple[int, ...]] = Field({}, description="Folds of one of these: subject/5: [1].")
     depth: Literal["depth", "depth_styled", "depth_clean"] = Field("depth", description="The image that is read as depth.")
     places: Mapping[str, str] = Field({}, description="Places of the dataset by new names: {standing: driver}; the others go.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gathered(cls, data: Any) -> Any:
+        """The keys of folds, which are without number, as one."""
+        if not isinstance(data, Mapping) or not (own := {key: data[key] for key in data if "/" in str(key)}):
+            return data
+        return {**{key: value for key, value in data.items() if key not in own}, "folds": {**data.get("folds", {}), **own}}
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        where = f"a part of {self.data}"
+        for key in parse_selection(self.folds, where) if self.folds else ():
+            name, folds, _ = key.partition("/")
+            if not folds:
+                raise ConfigError(f"{where}: folds: {name} has none", hint=f"write {name}/5: [1], without `folds`")
+            if getattr(self, name):
+                raise ConfigError(f"{where} has {name} and {key}", hint="give one of them")
+        return self
 
     @property
     def selection(self) -> dict[str, tuple[Any, ...]]:
         """What the frames are selected by; see `store.frame_mask`."""
         names = ("subject", "car", "action", "pov", "sequence")
-        return {name: values for name in names if (values := getattr(self, name))}
+        return {name: values for name in names if (values := getattr(self, name))} | self.unknown_folds
+
+    @property
+    def unknown_folds(self) -> dict[str, tuple[int, ...]]:
+        """Folds of what is known when the data are made, and not before."""
+        return {key: wanted for key, wanted in self.folds.items() if not getattr(self, key.partition("/")[0])}
 
 
 class FineTuning(Keys):
@@ -103,6 +128,7 @@ class JudgedFrames(Keys):
 
     frames: tuple[FrameSelection, ...] = Field(min_length=1, description="The frames; several parts follow each other.")
     may_share: tuple[Shared, ...] = Field((), description="What they may share with frames of trainings.")
+    trainings: tuple[str, ...] = Field((), description="Rows that are judged on them; left out: all.")
 
 
 class TableColumn(Keys):
@@ -181,6 +207,11 @@ class Experiment(Keys):
             _known("dataset", curve.over, self.data)
             for name in (name for line in curve.lines.values() for name in line):
                 _known("training", name, self.trainings)
+        for name in (name for test in self.tests.values() for name in test.trainings):
+            _known("training", name, self.trainings)
+        judged = {name for test in self.tests.values() for name in test.trainings or self.trainings}
+        if idle := [name for name in self.trainings if name not in judged]:
+            raise ConfigError(f"no test judges training {idle[0]}", hint="name it in `trainings` of a test, or leave it out")
         for name, row in self.published.items():
             _known("training", name, self.trainings)
             for title in row:
@@ -194,6 +225,20 @@ class Experiment(Keys):
         rows: list[Training | FineTuning] = [*self.trainings.values()]
         rows += [row.fine_tune for row in self.trainings.values() if row.fine_tune]
         return [*(p for row in rows for p in (*row.train, *row.validation)), *(p for t in self.tests.values() for p in t.frames)]
+
+    def with_parts(self, changed: Callable[[FrameSelection], FrameSelection]) -> Self:
+        """The same with other selections in place of its own."""
+
+        def sides(row: Training | FineTuning) -> dict[str, Any]:
+            return {side: tuple(map(changed, getattr(row, side))) for side in ("train", "validation")}
+
+        trainings = {
+            name: row.model_copy(update={**sides(row), "fine_tune": tune and tune.model_copy(update=sides(tune))})
+            for name, row in self.trainings.items()
+            for tune in (row.fine_tune,)
+        }
+        tests = {name: test.model_copy(update={"frames": tuple(map(changed, test.frames))}) for name, test in self.tests.items()}
+        return self.model_copy(update={"trainings": trainings, "tests": tests})
 
     def scale(self, name: str) -> RunScale:
         """The scale of a name, or the paper's with frames and batches times a factor; to validate and to test on

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameS
 from cabinpose.app.extras import require
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
-from cabinpose.store import dataset_id, draw_rng, frame_mask, open_dataset, read_manifest, validated
+from cabinpose.store import dataset_id, draw_rng, frame_mask, open_dataset, read_manifest, unfolded, validated, values_of
 from cabinpose.synth import CabinScene, SequenceConfig, SynthConfig, is_random_car
 
 Identity = tuple[str, int | None]
@@ -73,12 +73,16 @@ class SelectedFrames:
 
     @property
     def people(self) -> set[Identity]:
-        """Who may be in the frames."""
+        """Who may be in the frames; nobody is known of folds that are not."""
+        if self._folded("subject"):
+            return set()
         return {who for piece in self.pieces for who in piece.people if not self.part.subject or who[0] in self.part.subject}
 
     @property
     def cars(self) -> set[Identity]:
-        """Which cars may be in the frames."""
+        """Which cars may be in the frames; likewise."""
+        if self._folded("car"):
+            return set()
         return {car for piece in self._asked for car in piece.cars if not self.part.car or car[0] in self.part.car}
 
     @property
@@ -89,6 +93,9 @@ class SelectedFrames:
             p.most(self.part.subject) if p.config or not selection else _count(p.folder, p.key, selection) for p in self._asked
         )
 
+    def _folded(self, coordinate: str) -> bool:
+        return any(key.startswith(f"{coordinate}/") for key in self.part.unknown_folds)
+
     @property
     def _asked(self) -> list[DatasetPiece]:
         """The pieces that may have frames of the subjects."""
@@ -98,7 +105,8 @@ class SelectedFrames:
     @property
     def frames(self) -> int:
         """How many frames are drawn, as far as it is known before they are there."""
-        return self.most if self.part.frames is None else self.part.frames
+        share = math.prod(len(set(wanted)) / int(key.partition("/")[2]) for key, wanted in self.part.unknown_folds.items())
+        return round(self.most * share) if self.part.frames is None else self.part.frames
 
 
 @cache
@@ -346,8 +354,9 @@ def draw(
     numbers, positions, sequences, moving = [], [], [], False
     datasets = [open_dataset(piece.folder) for piece in source.pieces]
     _refuse_unknown(datasets, source.part, where)
+    selection = _of_folds(source.part, lambda name: _values(datasets, name))
     for number, (piece, dataset) in enumerate(zip(source.pieces, datasets, strict=True)):
-        free = _selected(dataset, source.part.selection) & ~_taken(piece, dataset, taken, apart)
+        free = _selected(dataset, selection) & ~_taken(piece, dataset, taken, apart)
         at = np.flatnonzero(free)
         numbers.append(np.full(len(at), number))
         positions.append(at)
@@ -386,20 +395,53 @@ def _taken(piece: DatasetPiece, dataset: xr.Dataset, taken: Sequence[Drawn], apa
 
 def _selected(dataset: xr.Dataset, selection: Mapping[str, tuple[Any, ...]]) -> NDArray[np.bool_]:
     """(frame,) whether a frame of a piece belongs to the selection; values that only other pieces have select nothing here."""
-    known = {name: tuple(value for value in wanted if value in _values(dataset, name)) for name, wanted in selection.items()}
+    known = {name: tuple(value for value in wanted if value in values_of(dataset, name)) for name, wanted in selection.items()}
     if not all(known.values()):
         return np.zeros(dataset.sizes["frame"], bool)
     return frame_mask(dataset, known)
 
 
-def _values(dataset: xr.Dataset, name: str) -> set[Any]:
-    return set(dataset[name].values.ravel().tolist()) - {""}
+def _values(datasets: Iterable[xr.Dataset], name: str) -> set[Any]:
+    return set().union(*(values_of(dataset, name) for dataset in datasets))
+
+
+def _of_folds(part: FrameSelection, there: Callable[[str], Collection[Any] | None]) -> dict[str, tuple[Any, ...]]:
+    """The selection of a part with values in place of folds, see `unfolded`. Raises ConfigError where folds have none."""
+    found = unfolded(part.selection, there)
+    for name in (name for name, wanted in found.items() if not wanted):
+        folds = "; ".join(f"{key}: {list(wanted)}" for key, wanted in part.folds.items() if key.startswith(f"{name}/"))
+        values = ", ".join(map(str, sorted(there(name) or ())))
+        raise ConfigError(f"{part.data} has no {name} in {folds}", hint=f"ask for fewer folds; it has: {values}")
+    return found
+
+
+def dealt_out(part: FrameSelection, pieces: Sequence[DatasetPiece]) -> FrameSelection:
+    """The part with the values of its folds, as far as these are known before stand-ins are made.
+
+    Folds of a folder are of what is in its frames; of a stand-in, of the people and cars that its configuration names, be they in
+    a frame or not. Where it has random ones, and of other coordinates, they are of what is in the frames when these are made.
+    Raises ConfigError for folds without a value.
+    """
+    datasets = [open_dataset(piece.folder) for piece in pieces if not piece.config]
+
+    def there(name: str) -> set[str] | None:
+        if datasets:
+            return _values(datasets, name)
+        named = {"subject": [piece.people for piece in pieces], "car": [piece.cars for piece in pieces]}.get(name)
+        known = frozenset().union(*named) if named else frozenset()
+        return {who for who, _ in known} if known and all(seed is None for _, seed in known) else None
+
+    found = _of_folds(part, there)
+    return part.model_copy(update={name: values for name, values in found.items() if "/" not in name})
 
 
 def _refuse_unknown(datasets: Sequence[xr.Dataset], part: FrameSelection, where: str) -> None:
-    """Raise DatasetError for a value of the selection that no piece has."""
+    """Raise DatasetError for a value of the selection that no piece has; folds may have more than are in the frames."""
+    folded = {key.partition("/")[0] for key in part.folds}
     for name, wanted in part.selection.items():
-        there = set().union(*(_values(dataset, name) for dataset in datasets))
+        if name in folded or "/" in name:
+            continue
+        there = _values(datasets, name)
         if unknown := [value for value in wanted if value not in there]:
             raise DatasetError(
                 f"{where}: {part.data} has no {name} {unknown[0]!r}", hint=f"it has: {', '.join(map(str, sorted(there)))}"

@@ -15,6 +15,7 @@ from cabinpose.app.experiment.frames import (
     SelectedFrames,
     check_subjects,
     contents,
+    dealt_out,
     digest,
     needed,
     opened,
@@ -29,6 +30,7 @@ from cabinpose.store import validated
 FRAME_S = 0.1  # CPU seconds that a generated frame is expected to take, and one that a model answers for
 RECORDED_S = 0.25  # and one that the virtual laboratory records
 _NAMES = 5  # of people in a message
+_ITS_VALIDATION = "its validation", "may_share: [subject] in the training"
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class ExperimentPlan:
     """The cells of an experiment at a scale.
 
     data: the pieces of each dataset that any cell needs · trained: by training, a cell for each repeat · tested: by training and
-    test, likewise · first: trainings that others are tuned from.
+    test that judges it, likewise · first: trainings that others are tuned from.
     """
 
     experiment: Experiment
@@ -102,8 +104,10 @@ class ExperimentPlan:
                 seen[test] = _contents(cell.frames, cell.drawn())
             for each in trained:
                 if each.key not in seen:
-                    learnt, judged = each.drawn()
-                    seen[each.key] = _contents([*each.train, *each.validation], [*learnt, *judged])
+                    learnt, judged = map(_contents, (each.train, each.validation), each.drawn())
+                    if "subject" not in self.experiment.trainings[row].may_share:
+                        _refuse_shared("subject", learnt["subject"] & judged["subject"], f"training {row}", *_ITS_VALIDATION)
+                    seen[each.key] = {kind: learnt[kind] | judged[kind] for kind in learnt}
                 for kind, there in seen[test].items():
                     if kind not in self.experiment.tests[test].may_share:
                         _refuse_shared(kind, there & seen[each.key][kind], f"test {test}", f"training {row}")
@@ -132,6 +136,9 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
         if name not in experiment.data:
             raise unknown_name("dataset", name, list(experiment.data))
     scale = experiment.scale(scale_name)
+    folded = {part.data for part in experiment.parts if part.folds}
+    whole = {name: pieces_of(name, experiment.data[name], scale, {}, given.get(name), out) for name in folded}
+    experiment = experiment.with_parts(lambda part: dealt_out(part, whole[part.data]) if part.folds else part)
     wanted = wanted_frames(experiment, scale)
     data = {name: pieces_of(name, each, scale, wanted[name], given.get(name), out) for name, each in experiment.data.items()}
     plan = _Planner(experiment, scale, data, out)
@@ -139,8 +146,12 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
     trained = {name: tuple(cells) for name, (_, cells) in rows.items()}
     _check_columns(experiment, [cells[0] for cells in trained.values()])
     first = tuple(cell for before, _ in rows.values() for cell in before)
-    tests = experiment.tests
-    tested = {(row, test): tuple(plan.test(test, cell) for cell in cells) for row, cells in trained.items() for test in tests}
+    tested = {
+        (row, name): tuple(plan.test(name, cell) for cell in cells)
+        for row, cells in trained.items()
+        for name, test in experiment.tests.items()
+        if not test.trainings or row in test.trainings
+    }
     every = [cell for cells in (*trained.values(), *tested.values(), first) for cell in cells]
     needed = {key for cell in every for key in cell.needs}
     used = {name: tuple(piece for piece in pieces if piece.key in needed or not piece.config) for name, pieces in data.items()}
@@ -246,7 +257,7 @@ class _Planner:
         where = f"training {name}"
         learnt, judged = (set().union(*(self._source(part, where).people for part in side)) for side in (train, validation))
         if "subject" not in may_share:
-            _refuse_shared("subject", learnt & judged, where, "its validation", "may_share: [subject] in the training")
+            _refuse_shared("subject", learnt & judged, where, *_ITS_VALIDATION)
         for (data, subjects), count in needed(self._experiment, self._scale, train, validation).items():
             pieces = self._data[data]
             if count and all(piece.config for piece in pieces):  # of folders the frames are counted

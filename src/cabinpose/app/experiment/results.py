@@ -44,7 +44,7 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
     """The numbers of all cells that are there; resamples: of the bootstrap for the intervals."""
     experiment, known = plan.experiment, _ErrorsRead()
     numbers = {
-        (row, column.title): _number(known.runs(plan.tested[row, column.test]), column, resamples)
+        (row, column.title): _number(known.runs(plan.tested.get((row, column.test), ())), column, resamples)
         for row in experiment.trainings
         for column in experiment.columns
     }
@@ -53,14 +53,15 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
         for row in experiment.trainings
         for column in experiment.columns
         if column.measure == "mean_error"
-        if (share := _number(known.runs(plan.tested[row, column.test]), _found(column), 0)) is not None
+        if (share := _number(known.runs(plan.tested.get((row, column.test), ())), _found(column), 0)) is not None
     }
     accuracy, by_joint = {}, {}
     for test in experiment.tests:
         space = next((column.space for column in experiment.columns if column.test == test), "2d")
         lines: Lines = {}
         for row in experiment.trainings:
-            runs = [(errors, names) for errors, names in known.runs(plan.tested[row, test]) if errors.error_px.size]
+            read = known.runs(plan.tested.get((row, test), ()))
+            runs = [(errors, names) for errors, names in read if errors.error_px.size]
             if not runs:
                 continue
             lines[row] = _mean_accuracy(runs, space, None)
