@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from importlib.resources import files
+from operator import not_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.evaluate import Measure
-from cabinpose.store import read_mapping, validated
+from cabinpose.store import JointNames, read_mapping, validated
 
 HINT = "docs/experiments.md lists the keys"
 _DEPTH = 8  # files that build on each other
@@ -70,6 +71,11 @@ class FrameSelection(Keys):
     sequence: tuple[int, ...] = Field((), description="Sequences, by number.")
     depth: Literal["depth", "depth_styled", "depth_clean"] = Field("depth", description="The image that is read as depth.")
     places: Mapping[str, str] = Field({}, description="Places of the dataset by new names: {standing: driver}; the others go.")
+    joints: JointNames = Field(
+        {},
+        exclude_if=not_,
+        description="Joints of the dataset by new names, or their set: itop; others are not labelled.",
+    )
 
     @property
     def selection(self) -> dict[str, tuple[Any, ...]]:

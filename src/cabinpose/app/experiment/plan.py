@@ -99,11 +99,11 @@ class ExperimentPlan:
                 continue
             trained = [cell.trained, *filter(None, [cell.trained.begins])]
             if test not in seen:
-                seen[test] = _contents(cell.frames, cell.drawn())
+                seen[test] = _contents(cell.frames, cell.drawn(), cell.trained.settings)
             for each in trained:
                 if each.key not in seen:
                     learnt, judged = each.drawn()
-                    seen[each.key] = _contents([*each.train, *each.validation], [*learnt, *judged])
+                    seen[each.key] = _contents([*each.train, *each.validation], [*learnt, *judged], each.settings)
                 for kind, there in seen[test].items():
                     if kind not in self.experiment.tests[test].may_share:
                         _refuse_shared(kind, there & seen[each.key][kind], f"test {test}", f"training {row}")
@@ -230,6 +230,8 @@ class _Planner:
         """The configuration of a repeat: the experiment's, changed by the scale, then by the row."""
         scale = self._scale
         plain = merged(merged(self._experiment.recipe, scale.recipe), row.recipe)
+        if "data" in plain:
+            raise ConfigError("recipe.data: parts say how places and joints are called", hint="give places and joints in a part")
         for key in ("epochs", "epoch_steps", "seed"):
             if key in plain:
                 raise ConfigError(f"recipe.{key}: a scale says it", hint="give steps, epochs and repeats in `scales`")
@@ -254,10 +256,10 @@ class _Planner:
                 check_subjects(whole, f"{where} and its validation")
 
 
-def _contents(sources: Iterable[SelectedFrames], drawn: Sequence[Drawn]) -> dict[str, set[Any]]:
+def _contents(sources: Iterable[SelectedFrames], drawn: Sequence[Drawn], settings: Any) -> dict[str, set[Any]]:
     """What is in the frames of some parts, which can be opened as these say."""
     for source, frames in zip(sources, drawn, strict=True):
-        opened(source.part, frames)
+        opened(source.part, frames, settings)
     return contents(drawn)
 
 
