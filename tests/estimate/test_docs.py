@@ -66,8 +66,9 @@ def test_the_stated_rates_are_the_methods() -> None:
 
 
 def test_the_examples_are_valid() -> None:
-    splits, run, from_packaged = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", PAGE, re.S))
+    splits, mixed, run, from_packaged = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", PAGE, re.S))
     assert set(parse_splits(splits, "docs")) == {"train", "validate"}
+    assert TrainConfig.model_validate(mixed).data["itop"].places == {"standing": "driver"}
     config = TrainConfig.model_validate(run)
     assert frame_spec(config).slots == ("driver", "front_passenger")
     packaged = METHODS["compact"].settings(describe_model(packaged_models()["in_car"])["settings"]).model_dump(mode="json")

@@ -25,7 +25,7 @@ from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS, NetworkMethod
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
 from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
-from cabinpose.estimate.training import Detector, begin_with, check_same, complete, fit, frame_spec, load_detector
+from cabinpose.estimate.training import Detector, check_same, complete, fit, frame_spec, load_detector
 from cabinpose.estimate.unet.config import MERGED
 
 ONE = Machines(1)
@@ -312,17 +312,6 @@ def test_a_run_begins_with_a_network_of_other_places(
         torch.testing.assert_close(value, theirs[name], atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize("slots", [small.PERSONS[::-1], (*small.PERSONS[:2], "rear_right")])
-def test_no_place_begins_with_what_another_one_has_learnt(
-    slots: tuple[str, ...], checkpoints: dict[str, Path], tmp_path: Path
-) -> None:
-    c = config("compact", settings=small.TINY["compact"] | {"slots": slots})
-    detector = Detector(c)
-    with pytest.raises(ModelError, match="other places, or in another order: driver, front_passenger, rear_left") as error:
-        begin_with(detector, checkpoints["compact"], [])
-    assert error.value.hint == "write slots: [driver, front_passenger, rear_left]"
-
-
 @pytest.mark.parametrize("method", small.NETWORKS)
 def test_networks_say_whether_they_know_places(method: str) -> None:
     sizes = []
@@ -334,7 +323,7 @@ def test_networks_say_whether_they_know_places(method: str) -> None:
     assert known.of_places == (sizes[0] != sizes[1])
 
 
-@pytest.mark.parametrize("change", [{"channels": (8, 16, 24, 32)}, {"slots": ("front_passenger", "driver")}])
+@pytest.mark.parametrize("change", [{"channels": (8, 16, 24, 32)}])
 def test_a_run_does_not_begin_with_another_network(change: dict[str, Any], checkpoints: dict[str, Path], tmp_path: Path) -> None:
     c = config("compact", settings=small.TINY["compact"] | change)
     with pytest.raises(ModelError, match="another network"):

@@ -121,7 +121,7 @@ def test_a_run_goes_on_from_a_file(checkpoints: dict[str, Path], trained: dict[s
     torch.testing.assert_close(begun.network.votes.weight, wanted, atol=1e-8, rtol=0)
 
 
-@pytest.mark.parametrize("change", [{"channels": (4, 4, 8, 16)}, {"slots": ("front_passenger", "driver")}, {"skeleton": "itop"}])
+@pytest.mark.parametrize("change", [{"channels": (4, 4, 8, 16)}, {"channels": (4, 4, 8, 16), "slots": ("driver",)}])
 def test_other_networks_are_refused_by_what_differs(trained: dict[str, Path], change: dict[str, object]) -> None:
     with pytest.raises(ModelError, match=f"another network: {next(iter(change))}"):
         begin_with(Detector(config(**change)), trained["compact"], [])

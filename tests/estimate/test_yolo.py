@@ -125,7 +125,7 @@ def test_one_cell_by_hand() -> None:
     known[0, 3] = True
     cell = torch.full((1, 20), 6)
     box = torch.tensor([0.5, 0.25, 0.25, 0.25]).expand(1, 20, 4)
-    true = Truths(known, cell, box, torch.full((1, 20), 0.9))
+    true = Truths(known, cell, box, torch.full((1, 20), 0.9), torch.ones_like(known))
     terms = {name: float(value) for name, value in grid_loss(Grid(boxes, classes), true, CONFIG).items()}
     overlap = 0.5 / 1.5  # two squares of one cell, half a cell apart
     assert terms.pop("place") == pytest.approx(5 * 0.5**2)
@@ -142,7 +142,9 @@ def test_joints_of_one_cell_answer_by_different_boxes() -> None:
     known = torch.tensor([[True, True, True, True, False]])
     cell = torch.tensor([[7, 7, 2, 7, 7]])
     overlap = torch.tensor([[[0.1, 0.6], [0.2, 0.9], [0.3, 0.1], [0.9, 0.9], [0.9, 0.9]]])
-    answering, which, taken = responsible(Truths(known, cell, torch.zeros((1, 5, 4)), torch.zeros((1, 5))), overlap, CELLS)
+    answering, which, taken = responsible(
+        Truths(known, cell, torch.zeros((1, 5, 4)), torch.zeros((1, 5)), torch.ones_like(known)), overlap, CELLS
+    )
     assert answering.tolist() == [[True, True, True, False, False]]  # two boxes a cell
     assert which[0, :3].tolist() == [1, 0, 0]  # the first takes the better one, the second what is left
     assert [tuple(at) for at in taken.nonzero().tolist()] == [(0, 0, 2), (0, 0, 7), (0, 1, 7)]

@@ -30,8 +30,9 @@ from cabinpose.app.report import raster
 from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError
 from cabinpose.estimate import TrainConfig, frame_spec
+from cabinpose.estimate.batch import NOT_LABELLED
 from cabinpose.evaluate import OverRepeats
-from cabinpose.store import open_dataset
+from cabinpose.store import labelled_joints, open_dataset
 
 Write = Callable[..., Path]
 Run = Callable[..., Any]
@@ -189,9 +190,10 @@ def test_rooms_and_cars_are_mixed_and_so_are_kinds_of_depth(write: Write, tmp_pa
     """A person who stands is taken for the driver, and the depth of a part may be another image than that of the others."""
     room = {"scene": {"kind": "room", "rooms": 1}, "people": {"subjects": [], "random": {"count": 2}},
             "camera": {"sensor": "kinect_v1", "views": {"room": 1.0}}, "noise": {"kind": "structured_light"}}  # fmt: skip
+    named = ("head", "neck", "lshoulder", "rshoulder", "lelbow")
     parts = [
         {"data": "real", "subject": ["P1"], "frames": 2, "depth": "depth_clean"},
-        {"data": "rooms", "frames": 3, "places": {"standing": "driver"}},
+        {"data": "rooms", "frames": 3, "places": {"standing": "driver"}, "joints": {f"itop.{joint}": joint for joint in named}},
     ]
     file = write({
         "recipe": {"settings": {"max_depth_m": 5.0}}, "data": {"rooms": {"synth": room, "frames": 3}},
@@ -201,17 +203,19 @@ def test_rooms_and_cars_are_mixed_and_so_are_kinds_of_depth(write: Write, tmp_pa
     make_cells(plan.made, 1, lambda *_: None)
     cell = plan.trained["R1"][0]
     learnt, judged = cell.drawn()
-    sides = (_sides(cell.train, learnt), _sides(cell.validation, judged))
+    sides = (_sides(cell.train, learnt, cell.settings), _sides(cell.validation, judged, cell.settings))
     assert {name: part.sizes["frame"] for name, part in sides[0].items()} == {"real/P1": 2, "rooms": 3}
     car, rooms = sides[0].values()
     source = open_dataset(cell.train[0].pieces[0].folder).isel(frame=learnt[0][0][1])
     np.testing.assert_array_equal(car["depth"].values, source["depth_clean"].values)
     assert not np.array_equal(source["depth"].values, source["depth_clean"].values)
     assert rooms["person"].values.tolist() == ["driver"]
+    assert set(labelled_joints(rooms)) == set(named)
     training, _ = stored_frames(sides, frame_spec(TrainConfig.model_validate(cell.recipe)))
     frames = [training[i] for i in range(5)]
     assert all(frame.present.tolist() == [True] for frame in frames)
-    far = [float(frame.joints[0, :, 2].mean()) for frame in frames]
+    far = [float(np.nanmean(frame.joints[0, :, 2])) for frame in frames]
+    assert [int((frame.visibility[0] == NOT_LABELLED).sum()) for frame in frames] == [0, 0, 15, 15, 15]
     assert max(far[:2]) < 1.5 < min(far[2:])  # m: a car's driver, somebody across a room
 
 

@@ -33,7 +33,7 @@ from cabinpose.core import (
     whole_file,
     write_whole,
 )
-from cabinpose.estimate import METHODS, load_model, read_train_config
+from cabinpose.estimate import METHODS, as_configured, load_model, read_train_config
 from cabinpose.evaluate import BATCH, EvaluationOptions, Report, evaluate_itop, frame_batch
 from cabinpose.store import (
     MANIFEST_NAME,
@@ -133,7 +133,7 @@ def train_model(
         return known[0]
     make_folder(out)
     write_whole(record, text)
-    datasets = {str(folder): open_dataset(folder) for folder in data}
+    datasets = as_configured(config, {str(folder): open_dataset(folder) for folder in data})
     training, validation = stored_frames(training_split(datasets, None, "train", "validate"), frame_spec(config))
     start, observers = Start(resume=(out / "last.ckpt").exists()), Observers(progress, partial(write_curves, out / "curves.png"))
     best = fit(config, training, validation, out, start=start, observers=observers)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import xarray as xr
@@ -11,7 +11,7 @@ import xarray as xr
 from cabinpose.app.training_split import Sides, said_of
 from cabinpose.core import ConfigError
 from cabinpose.estimate import Frames, FrameSpec, GeneratedFrames, StoredFrames, fits_memory, joined
-from cabinpose.store import dataset_skeleton
+from cabinpose.store import dataset_skeleton, labelled_joints
 from cabinpose.synth import FrameMaker, SynthConfig, build_manifest, person_slots, preflight
 
 
@@ -19,10 +19,12 @@ def stored_frames(sides: Sides, spec: FrameSpec) -> tuple[Frames, Frames]:
     """The frames of `training_split`'s two sides, one dataset after the other.
 
     Frames are kept in memory all together or not at all. Joints that different sources placed, of the same names, are learnt
-    together with a warning. Raises DatasetError as `StoredFrames` does.
+    together with a warning. A joint that nobody in one dataset has is not labelled there where another one teaches it. Raises
+    DatasetError as `StoredFrames` does.
     """
     keep = fits_memory(sum(part.sizes["frame"] for side in sides for part in side.values()), spec)
-    training, validation = (_joined(side, spec, keep=keep) for side in sides)
+    taught = {joint for part in sides[0].values() for joint in labelled_joints(part, spec.skeleton)}
+    training, validation = (_joined(side, spec, taught, keep=keep) for side in sides)
     datasets = {name: part for side in sides for name, part in side.items()}
     whose = {name: dataset_skeleton(part, spec.skeleton).definition for name, part in datasets.items()}
     if len(set(whose.values())) > 1:
@@ -31,11 +33,11 @@ def stored_frames(sides: Sides, spec: FrameSpec) -> tuple[Frames, Frames]:
     return training, validation
 
 
-def _joined(side: Mapping[str, xr.Dataset], spec: FrameSpec, *, keep: bool) -> Frames:
+def _joined(side: Mapping[str, xr.Dataset], spec: FrameSpec, taught: Collection[str], *, keep: bool) -> Frames:
     frames = []
     for name, part in side.items():
         with said_of(name):
-            frames.append(StoredFrames(part, spec, keep=keep))
+            frames.append(StoredFrames(part, spec, keep=keep, taught=taught))
     return joined(frames)
 
 

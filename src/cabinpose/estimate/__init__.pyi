@@ -56,6 +56,7 @@ from .train_config import Machines as Machines
 from .train_config import Observers as Observers
 from .train_config import Start as Start
 from .train_config import TrainConfig as TrainConfig
+from .train_config import as_configured as as_configured
 from .train_config import read_train_config as read_train_config
 from .training import fit as fit
 from .training import frame_spec as frame_spec

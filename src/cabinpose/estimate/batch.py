@@ -10,15 +10,18 @@ from torch import Tensor
 
 from cabinpose.estimate.inputs import InputView
 
+NOT_LABELLED = 255
+"""State of a joint of somebody who is there, of whom nothing says where it is: it is neither learnt nor learnt to be absent."""
+
 
 class Batch(NamedTuple):
     """N frames with S places and J joints, in the model's view (h, w).
 
     depth: (N, h, w) m, 0 = invalid; (N, 0, 0) for a method without images · joints: (N, S, J, 3) u, v (px) and depth (m), NaN
-    unknown · visibility: (N, S, J) uint8, the five states of the standard · present: (N, S) bool, somebody the camera sees
-    sits there · amplitude: (N, h, w), or None where the method does not read it · labels: (N, h, w) uint8 classes of the
-    pixels, or None where the method does not need them · wheel: (N,) int8, 1 where it is on the left, -1 on the right, 0 none or
-    not known; None: nowhere · rgb: (N, 3, h, w) sRGB, 0 to 255, or None where the method does not read it.
+    unknown · visibility: (N, S, J) uint8, the five states of the standard, or `NOT_LABELLED` · present: (N, S) bool, somebody
+    the camera sees sits there · amplitude: (N, h, w), or None where the method does not read it · labels: (N, h, w) uint8
+    classes of the pixels, or None where the method does not need them · wheel: (N,) int8, 1 where it is on the left, -1 on the
+    right, 0 none or not known; None: nowhere · rgb: (N, 3, h, w) sRGB, 0 to 255, or None where the method does not read it.
     """
 
     depth: Tensor

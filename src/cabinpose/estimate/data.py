@@ -6,7 +6,7 @@ default it stays in memory after the first epoch, as the integers of the disk.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -27,11 +27,11 @@ from cabinpose.core import (
     told_as,
     wheel_sides,
 )
-from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.batch import NOT_LABELLED, Batch
 from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.inputs import TICK_M, InputView, Kept, channels_first
 from cabinpose.scene import LABEL_ID
-from cabinpose.store import dataset_skeleton, frame_ranges, joint_dimension, joints_variable, merged_ranges
+from cabinpose.store import dataset_skeleton, frame_ranges, joint_dimension, joints_variable, labelled_joints, merged_ranges
 
 _IMAGES = {"depth": 2, "amplitude": 2, "labels": 1, "rgb": 3}  # bytes of a pixel as it is kept
 _SEEN_JOINTS = 3  # of a person, visible or hidden by the body itself, for the person to count as there
@@ -73,8 +73,11 @@ Frames: TypeAlias = Dataset[Kept]  # what trains or validates
 class StoredFrames(Dataset[Kept]):
     """The frames of a dataset folder, or of a selection of it."""
 
-    def __init__(self, dataset: xr.Dataset, spec: FrameSpec, *, keep: bool | None = None) -> None:
+    def __init__(self, dataset: xr.Dataset, spec: FrameSpec, *, keep: bool | None = None, taught: Collection[str] = ()) -> None:
         """`keep` frames in memory once they were read; by default where `fits_memory` says so of this dataset alone.
+
+        taught: joints that other frames of the run show; those of them that nobody in this dataset has are not labelled here. A
+        joint that no frame of a run shows is learnt to be absent.
 
         Raises DatasetError for a dataset without frames, of another skeleton, or without one of the places or images.
         """
@@ -84,6 +87,8 @@ class StoredFrames(Dataset[Kept]):
         self._rows = slot_rows(dataset, spec)
         placed, meant = dataset_skeleton(dataset, spec.skeleton), SKELETONS[spec.skeleton]
         self._placed = placed if placed.definition != meant.definition and has_joint_map(placed, meant) else None
+        labelled = labelled_joints(dataset, spec.skeleton)
+        self._unlabelled = [i for i, joint in enumerate(spec.joints) if joint in taught and joint not in labelled]
         if keep is None:
             keep = fits_memory(dataset.sizes["frame"], spec)
         self._kept: dict[int, Kept] | None = {} if keep else None
@@ -99,7 +104,7 @@ class StoredFrames(Dataset[Kept]):
         frame = {name: self._dataset.variables[name][index].values for name in names}  # coordinates would cost two thirds more
         if self._placed is not None:
             frame["joints_3d"] = told_as(frame["joints_3d"], self._placed.joints, self._placed, CABINPOSE)
-        kept = view_frame(frame, self.spec, self._rows)
+        kept = view_frame(frame, self.spec, self._rows, self._unlabelled)
         if self._kept is not None:
             self._kept[index] = kept
         return kept
@@ -202,8 +207,10 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
     return [persons.index(slot) for slot in spec.slots]
 
 
-def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -> Kept:
+def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int], unlabelled: Sequence[int] = ()) -> Kept:
     """One frame of the standard's variables in the view of a spec; `rows` of its persons are the places.
+
+    unlabelled: those of the spec's joints, by position, of which the frame says nothing.
 
     Places are those of cars with the wheel on the left: of a frame with the wheel on the right it is the mirror image.
     """
@@ -224,11 +231,13 @@ def view_frame(frame: Mapping[str, Any], spec: FrameSpec, rows: Sequence[int]) -
             images["depth"] = np.round(view.depth(frame[name], source) / TICK_M)
         else:
             images[name] = view.resample(channels_first(frame[name]) if name == "rgb" else frame[name], source)
+    visibility = visibility[:, spec.columns].astype(np.uint8)
+    visibility[np.ix_(there, unlabelled)] = NOT_LABELLED
     wheel = _wheel(frame, spec, joints)
     kept = Kept(
         images["depth"].astype(np.uint16),
         uvz[:, spec.columns].astype(np.float32),
-        visibility[:, spec.columns].astype(np.uint8),
+        visibility,
         seen & np.array(there),
         images["amplitude"].astype(np.uint16),
         images["labels"].astype(np.uint8),

@@ -7,7 +7,7 @@ by the functions that need it: running a trained model does without.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays by name."""
+Layout = Mapping[str, Mapping[int, Sequence[Hashable]]]
+"""By the name of a network's tensor and its axis, what each row stands for: tuples of names and numbers, a joint of a place."""
 Progress = Callable[[int, int, str], None]
 """Called with batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is done."""
 S = TypeVar("S", bound=Settings)
@@ -121,6 +123,14 @@ class NetworkMethod(Method[S]):
         """The task's answer for N frames, from the network's outputs and from what the view saw (the inputs, and the amplitude
         where there is one) by name. Without torch: numpy alone.
         """
+
+    def layout(self, settings: S) -> Layout:  # noqa: ARG002 - {} of a method that does not say it
+        """Which rows of which tensors are of single places, joints, limbs, or cells of the view.
+
+        Training that begins with another network of the method takes these rows by what they stand for, and all else as it is.
+        Of a method that does not say it, places and joints have to be the same.
+        """
+        return {}
 
     def mirrored(self, network: Any) -> nn.Module:  # noqa: ARG002 - few have one
         """A network that answers with the mean over a frame and its mirror image. Raises ConfigError where there is none."""

@@ -45,6 +45,12 @@ class Settings(BaseModel):
         return self.joint_set.joints
 
     @property
+    def shared_joints(self) -> tuple[str, ...]:
+        """(J,) the same joints, those of another set by the names of ours where they are the same point."""
+        same = {theirs: ours for ours, theirs in CABINPOSE.maps.get(self.joint_set.name, {}).items()}
+        return tuple(same.get(joint, joint) for joint in self.joints)
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the network's inputs."""
         return ("depth",)

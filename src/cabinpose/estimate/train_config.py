@@ -8,17 +8,19 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from operator import not_
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, unknown_name
 from cabinpose.estimate.methods import METHODS, Progress
 from cabinpose.estimate.settings import AugmentConfig
-from cabinpose.store import read_mapping, validated
+from cabinpose.store import JointNames, as_named, read_mapping, validated
 
 if TYPE_CHECKING:
+    import xarray as xr
     from lightning.pytorch.callbacks import Callback
 
     from cabinpose.estimate.curves import Draw
@@ -27,6 +29,18 @@ Positive = Annotated[int, Field(ge=1)]
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 _CPU_INFO = Path("/proc/cpuinfo")
 _BF16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # as Linux calls what computes bfloat16, of x86 and of Arm
+
+
+class DatasetNames(BaseModel):
+    """How a run calls the places and joints of a dataset, see `store.as_named`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    places: Annotated[Mapping[str, str], Field(description="Places of the dataset by new names; the others go.")] = {}
+    joints: Annotated[
+        JointNames,
+        Field(description="Joints of the dataset by new names, or their set: itop; others are not labelled."),
+    ] = {}
 
 
 class TrainConfig(BaseModel):
@@ -42,6 +56,9 @@ class TrainConfig(BaseModel):
     depth: Annotated[
         Literal["depth", "depth_styled", "depth_clean"], Field(description="The dataset's image that is read as depth.")
     ] = "depth"
+    data: Annotated[
+        Mapping[str, DatasetNames], Field(exclude_if=not_, description="Places and joints by new names, by dataset.")
+    ] = {}
     epochs: Annotated[Positive, Field(description="Passes over the training frames.")] = 30
     batch: Annotated[Positive, Field(description="Frames in a batch.")] = 32
     epoch_steps: Annotated[
@@ -71,6 +88,25 @@ class TrainConfig(BaseModel):
     def _with_defaults(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         """All settings of the method, so that runs compare; ConfigError for one that the method does not know."""
         return METHODS[info.data.get("method", "compact")].settings(value).model_dump(mode="json")
+
+
+def as_configured(config: TrainConfig, datasets: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """Datasets, by the paths of their folders, with places and joints as the `data` of a configuration calls them.
+
+    A key of `data` is the name of a folder or its path. Raises ConfigError for one that is neither, and as `as_named` does.
+    """
+    known = {name: {name, Path(name).resolve().name} for name in datasets}
+    for key in config.data:
+        if not any(key in names for names in known.values()):
+            raise unknown_name("dataset in `data`", key, [Path(name).resolve().name for name in datasets])
+    settings = METHODS[config.method].settings(config.settings)
+    result = dict(datasets)
+    for key, names in config.data.items():
+        for name in (name for name, called in known.items() if key in called):
+            result[name] = as_named(
+                result[name], names.places, names.joints, skeleton=settings.joint_set.name, slots=settings.slots
+            )
+    return result
 
 
 def read_train_config(path: Path | None, method: str | None) -> TrainConfig:

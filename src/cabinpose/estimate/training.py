@@ -38,11 +38,12 @@ from cabinpose.estimate.onnx_model import JOINT_DEFINITION, TRAINED_ON, packaged
 from cabinpose.estimate.tasks import TASKS, Setting, Task
 from cabinpose.estimate.train_config import Machines, Observers, Start, usable_precision, with_old_keywords
 from cabinpose.estimate.train_config import TrainConfig as TrainConfig
-from cabinpose.estimate.weights import measure_norms, read_weights
+from cabinpose.estimate.weights import measure_norms, read_weights, take_weights
 from cabinpose.store import merged_ranges
 
 _MEASURED = 500  # training frames that open settings are measured on
 _SEEDS = 0x7FFFFFFFFFFFFFFF
+_BY_NAME = ("slots", "skeleton", "body")  # settings in which a network to begin with may differ
 _NETWORK = "network."  # how the names of the network's tensors begin in a checkpoint
 
 
@@ -391,9 +392,9 @@ def load_detector(path: Path) -> Detector:
 def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kept]) -> None:
     """Give a detector the weights of a checkpoint or of a compact model in an ONNX file.
 
-    Parts that the other one does not have keep their own. The places have to be the same in the same order, or another one for
-    the only one, or of a network that knows none: then a warning says so. Norms that were folded on export are measured on
-    `training`. Raises ModelError where that one is of another network.
+    Weights of single places and joints are taken by name, see `NetworkMethod.layout`, but that the only place may stand for
+    another only one; what the other one does not have keeps its own. A warning says what. Norms that were folded on export are
+    measured on `training`. Raises ModelError where the other one is of another method, or of another size beyond that.
     """
     source = packaged_models().get(str(source), source)
     folded: tuple[str, ...] = ()
@@ -404,25 +405,27 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
         config = _configuration(source, data)
         theirs, learnt = METHODS[config.method].settings(config.settings), data[TRAINED_ON]
         state = {name.removeprefix(_NETWORK): value for name, value in data["state"].items() if name.startswith(_NETWORK)}
-    mine = detector.method_config
-    fits = type(mine) is type(theirs) and mine.joints == theirs.joints
+    mine, method = detector.method_config, detector.method
     try:
-        if fits:
-            fits = not detector.network.load_state_dict(state, strict=False).unexpected_keys
-    except RuntimeError:  # of another size
-        fits = False
-    if not fits:
-        other_names = [n for n, value in theirs if n not in type(mine).model_fields or getattr(mine, n) != value]
+        if type(mine) is not type(theirs):
+            raise ValueError("it is of another method")
+        stands = not method.of_places or len(mine.slots) == 1 == len(theirs.slots)
+        named = theirs.model_copy(update={"slots": mine.slots}) if stands else theirs
+        layouts = method.layout(mine), method.layout(named)
+        if not layouts[0] and (mine.joints, mine.slots) != (named.joints, named.slots):
+            raise ValueError("its places and joints are others")
+        taken = take_weights(detector.network, state, *layouts)
+    except ValueError as error:
+        others = [n for n, value in theirs if n not in type(mine).model_fields or getattr(mine, n) != value]
+        sizes = [name for name in others if name not in _BY_NAME] or others
         raise ModelError(
-            f"{source} is of another network: {', '.join(other_names)}", hint="begin with a run of the same method and settings"
-        )
-    if mine.slots != theirs.slots:
-        if detector.method.of_places and len(mine.slots) > 1:  # a place would begin with what another one has learnt
-            raise ModelError(
-                f"{source} has learnt other places, or in another order: {', '.join(theirs.slots)}",
-                hint=f"write slots: [{', '.join(theirs.slots)}]",
-            )
-        warnings.warn(f"{source} has learnt other places: {', '.join(theirs.slots)}", stacklevel=3)
+            f"{source} is of another network: {', '.join(sizes)}", hint="begin with a run of the same method and settings"
+        ) from error
+    told = [f"has learnt other places: {', '.join(theirs.slots)}"] if stands and mine.slots != theirs.slots else []
+    if taken.share < 1:
+        told.append(f"gives {100 * taken.share:.3g} % of the weights; new are {', '.join(taken.fresh) or 'some limbs'}")
+    if told:
+        warnings.warn(f"{source} {' and '.join(told)}", stacklevel=3)
     detector.trained_on = learnt
     if folded:
         frames = _some(training)

@@ -1,4 +1,4 @@
-"""The weights of an exported compact network, to go on training from them.
+"""The weights of another network to begin with: those that mean the same, and those of an exported compact network.
 
 The exporter folds a norm into the convolution before it and keeps the product alone. Here such a norm begins as the identity
 with the folded bias; `measure_norms` then gives it the statistics of what it is fed, and the scale and shift that undo them, so
@@ -8,7 +8,7 @@ that the network answers as before and training normalises from where inference 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -19,8 +19,10 @@ from torch import Tensor, nn
 from cabinpose.core import ModelError
 from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.half import widen
+from cabinpose.estimate.methods import Layout
 from cabinpose.estimate.onnx_model import OnnxModel
 
+Axes = Mapping[int, Sequence[Hashable]]
 _EPS = 1e-5  # of nn.BatchNorm2d
 
 
@@ -72,6 +74,75 @@ def _module(node: str) -> str:
             path.pop()
         path.append(part)
     return re.sub(r"_\d+$", "", ".".join(part for part in path if part != "_network"))
+
+
+class Taken(NamedTuple):
+    """What a network has of another one: the share of its parameters, and in words what begins at random."""
+
+    share: float
+    fresh: tuple[str, ...]
+
+
+@torch.no_grad()
+def take_weights(network: nn.Module, state: Mapping[str, Tensor], mine: Layout, theirs: Layout) -> Taken:
+    """Give a network the weights of another one, rows by what they stand for; the rest keeps its own.
+
+    Parameters
+    ----------
+    network
+        The network, whose rows `mine` tells.
+    state
+        Parameters and statistics of the other one, whose rows `theirs` tells.
+
+    Raises
+    ------
+    ValueError
+        For a tensor that the network does not have, or that has another size along an axis whose rows nobody tells.
+    """
+    own = network.state_dict()
+    if unknown := [name for name in state if name not in own]:
+        raise ValueError(f"there is no {unknown[0]}")
+    parameters, lacking, took = dict(network.named_parameters()), [], 0
+    for name, value in own.items():
+        if name not in state:
+            lacking += re.findall(r"^\w+(?:\.\d+)?", name) if name in parameters else []
+            continue
+        at = _shared_rows(name, value.shape, state[name].shape, mine.get(name, {}), theirs.get(name, {}))
+        value[at.here] = state[name][at.there].to(value)
+        took += value[at.here].numel() if name in parameters else 0
+    known = {word for axes in theirs.values() for labels in axes.values() for word in _words(labels)}
+    told = (word for axes in mine.values() for labels in axes.values() for word in _words(labels))
+    fresh = dict.fromkeys((*(word for word in told if word not in known), *lacking))
+    return Taken(took / sum(each.numel() for each in parameters.values()), tuple(fresh))
+
+
+class _Rows(NamedTuple):
+    """Where rows that stand for the same are in either tensor, as indices of all axes."""
+
+    here: tuple[Tensor, ...]
+    there: tuple[Tensor, ...]
+
+
+def _shared_rows(name: str, here: Sequence[int], there: Sequence[int], mine: Axes, theirs: Axes) -> _Rows:
+    if len(here) != len(there) or any(a != b for i, (a, b) in enumerate(zip(here, there, strict=True)) if i not in mine):
+        raise ValueError(f"{name} is of another size")
+    rows = []
+    for axis, size in enumerate(here):
+        labels, others = mine.get(axis, range(size)), theirs.get(axis, range(there[axis]))
+        at = {label: i for i, label in enumerate(others)}
+        rows.append([(i, at[label]) for i, label in enumerate(labels) if label in at])
+    pairs = [torch.tensor(each, dtype=torch.long).reshape(-1, 2) for each in rows]
+    shapes = [[-1 if i == axis else 1 for i in range(len(here))] for axis in range(len(here))]
+    return _Rows(*(tuple(pair[:, k].reshape(shape) for pair, shape in zip(pairs, shapes, strict=True)) for k in (0, 1)))
+
+
+def _words(label: object) -> Iterator[str]:
+    """The names in what rows stand for."""
+    if isinstance(label, str):
+        yield label
+    elif isinstance(label, Iterable):
+        for each in label:
+            yield from _words(each)
 
 
 @torch.no_grad()

@@ -23,7 +23,6 @@ from cabinpose.core import (
     Predictor,
     Segmenter,
     Skeleton,
-    Visibility,
     has_joint_map,
     images_of,
     joined,
@@ -41,7 +40,6 @@ from cabinpose.store import (
     CHECKSUM_PREFIX,
     ClassImages,
     Predictions,
-    camera_of,
     dataset_skeleton,
     empty_batch,
     frame_images,
@@ -50,6 +48,8 @@ from cabinpose.store import (
     in_ranges,
     joint_dimension,
     joints_variable,
+    labelled_joints,
+    projected,
 )
 
 CHUNK = 512  # frames of joints at a time
@@ -68,11 +68,13 @@ def common_joints(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]
 def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> Skeleton:
     """The joints of the dataset, in its order, that all models answer for, as a set: the standard's own or another.
 
+    A joint that nobody in the dataset has is not labelled there, and is left out; where nobody has any, all are judged.
+
     Raises
     ------
     PredictionsError
         Where the models' joints are of different sets, which are not mixed, of a set that the dataset does not have, unknown to
-        it, or have none in common.
+        it, or have none in common, with each other or with what is labelled.
     """
     names = {skeleton_of(model).name: model_name(model) for model in models}
     if len(names) > 1:
@@ -94,6 +96,12 @@ def common_skeleton(dataset: xr.Dataset, models: Sequence[Predictions | Predicto
     shared = [joint for joint in known.joints if all(joint in model.joints for model in models)]
     if not shared:
         raise PredictionsError("the models have no joint in common", hint="evaluate them one by one")
+    if labelled := labelled_joints(dataset, name):
+        shared = [joint for joint in shared if joint in labelled]
+        if not shared:
+            raise PredictionsError(
+                f"nobody in the dataset has a joint that {who} finds", hint=f"its people have: {', '.join(labelled)}"
+            )
     ours = SKELETONS[name].subset(shared)
     says = {stated for model in models if (stated := getattr(model, "joint_definition", "")) in JOINT_DEFINITIONS}
     if len(says) > 1:
@@ -128,17 +136,10 @@ def truth_of(dataset: xr.Dataset, skeleton: Skeleton) -> xr.Dataset:
             )
         return times.assign(truth.sel(joint=joints))
     points = dataset[joints_variable(skeleton.name)].sel({joint_dimension(skeleton.name): joints}).values
-    width, height = int(dataset.attrs["width"]), int(dataset.attrs["height"])
-    cameras = [camera_of(dataset.isel(frame=i), width, height) for i in range(len(points))]
-    uv = np.stack([camera.project(each) for camera, each in zip(cameras, points, strict=True)])
-    inside = np.stack([camera.contains(each) for camera, each in zip(cameras, uv, strict=True)])
-    known = np.isfinite(points).all(axis=-1)
-    states = np.where(known, np.where(inside, Visibility.VISIBLE, Visibility.OUTSIDE_IMAGE), Visibility.ABSENT)
+    uv, states = projected(dataset, points)
     dims = ("frame", "person", "joint")
-    arrays = {"joints_2d": ((*dims, "uv"), uv.astype(np.float32)), "joints_3d": ((*dims, "xyz"), points)}
-    return times.assign(arrays | {"visibility": (dims, states.astype(np.uint8))}).assign_coords(
-        person=dataset["person"].values, joint=joints
-    )
+    arrays = {"joints_2d": ((*dims, "uv"), uv), "joints_3d": ((*dims, "xyz"), points)}
+    return times.assign(arrays | {"visibility": (dims, states)}).assign_coords(person=dataset["person"].values, joint=joints)
 
 
 def model_name(model: Predictions | Predictor | Segmenter) -> str:
@@ -214,6 +215,8 @@ def samples_of(
     skeleton = common_skeleton(dataset, [model])
     if joints is not None:
         skeleton = skeleton.subset(joints)
+    labelled = labelled_joints(dataset, skeleton.name)
+    lacking = [joint for joint in model.joints if labelled and joint not in labelled]
     predicted = model.persons
     if persons is not None:
         for place in persons:
@@ -229,7 +232,8 @@ def samples_of(
     samples = collect(chunks, skeleton, true, predicted, options)
     caveats = _caveats(dataset, model, samples, kept, predicted, options)
     words = joined(told)
-    notes = dict.fromkeys((*words.remarks, *caveats.notes))
+    unjudged = [f"nobody in the dataset has {', '.join(lacking)}: not judged"] if lacking else []
+    notes = dict.fromkeys((*words.remarks, *caveats.notes, *unjudged))
     return samples, replace(caveats, unseen=words.unseen, notes=tuple(notes))
 
 

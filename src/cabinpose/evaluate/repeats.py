@@ -55,12 +55,21 @@ class OverRepeats(NamedTuple):
     each: tuple[float, ...]
 
 
-def errors_of(samples: Samples) -> ModelErrors:
-    """The errors of the samples of one model."""
+def errors_of(samples: Samples, joints: Sequence[str] | None = None) -> ModelErrors:
+    """The errors of the samples of one model; joints: their columns, NaN of those that were not judged; default: all judged."""
     spaces = [np.where(s.found, s.error.astype(np.float64), np.inf) for s in (samples.px, samples.m)]
     px, m = (np.where(samples.counts & s.known, error, np.nan) for s, error in zip((samples.px, samples.m), spaces, strict=True))
+    if joints is not None:
+        columns = [joints.index(joint) for joint in samples.skeleton.joints]
+        px, m = (_spread(error, columns, len(joints)) for error in (px, m))
     heads = (samples.px.head.astype(np.float64), samples.m.head.astype(np.float64))
     return ModelErrors(clusters_of(samples.sequence, samples.sync_ns), samples.at, px, m, *heads, np.zeros((0, 0, 0), np.int64))
+
+
+def _spread(values: Array, columns: list[int], count: int) -> Array:
+    result = np.full((len(values), count), np.nan)
+    result[:, columns] = values
+    return result
 
 
 def joined_errors(parts: Sequence[ModelErrors]) -> ModelErrors:

@@ -33,6 +33,10 @@ from .labels import read_labels as read_labels
 from .labels import with_labels as with_labels
 from .lazy import open_dataset as open_dataset
 from .lazy import points_m as points_m
+from .named import JointNames as JointNames
+from .named import as_named as as_named
+from .named import labelled_joints as labelled_joints
+from .named import projected as projected
 from .named_poses import FoundPeople as FoundPeople
 from .named_poses import NamedPoses as NamedPoses
 from .part import EncodedFrame as EncodedFrame

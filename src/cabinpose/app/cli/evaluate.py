@@ -60,6 +60,11 @@ class Evaluate(RunsModels, SelectsFrames, ReadsFrames):
     """Where a lifting model gets its 2D joints: `truth` (the default: those of the dataset), a predictions file, or a model."""
     persons: Annotated[tuple[str, ...], several("SLOT [SLOT ...]")] = ()
     """Only people in these slots; default: the slots that all models predict."""
+    places: Annotated[tuple[str, ...], several("PLACE=NAME [PLACE=NAME ...]")] = ()
+    """Places of the dataset by the names of a model's, as in standing=driver; people in the others do not count."""
+    joints: Annotated[tuple[str, ...], several("JOINT=NAME [JOINT=NAME ...]")] = ()
+    """Joints of the dataset by the names of a model's, as in itop.head=head, or the set that they are taken of, as in itop; the
+    others do not count."""
     by: Annotated[tuple[str, ...], several("LABEL [LABEL ...]")] = ()
     """Tables by groups of people, and the worst of them: by seat, or a label such as stature, age, sex, pov, reflectance:top.
     Numbers are in quarters of the people, or between stated edges: stature=1.6,1.75."""
@@ -96,7 +101,7 @@ def run(command: Evaluate) -> None:
 
 
 def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) -> None:
-    from cabinpose.app.cli.selection import opened, selected
+    from cabinpose.app.cli.selection import joint_names, new_names, opened, selected
     from cabinpose.app.models import opened_models, tell_drive_side
     from cabinpose.core import Segmenter
     from cabinpose.evaluate import (  # fmt: skip
@@ -109,7 +114,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         read_group_by,
         samples_of,
     )
-    from cabinpose.store import SUFFIX, dataset_id, open_dataset, read_class_images, read_manifest, read_predictions
+    from cabinpose.store import SUFFIX, as_named, dataset_id, open_dataset, read_class_images, read_manifest, read_predictions
 
     refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
     whole = opened(folder, command.labels)
@@ -122,6 +127,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         check_predictions(answer, whole, names)
     dataset = selected(whole, command)
     _check_labelled(dataset, folder)
+    dataset = as_named(dataset, new_names(command.places, "places"), joint_names(command.joints))
     opened_now = opened_models(command.model, dataset, command.joints_from, names, command.images)
     chosen = [*_with_own_names(files, paths), *images, *opened_now]
     tell_drive_side(chosen, command.drive_side)

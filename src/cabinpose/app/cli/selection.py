@@ -13,6 +13,7 @@ from cabinpose.app.cli.arguments import SelectsFrames
 from cabinpose.core import ConfigError, DatasetError, unknown_name
 from cabinpose.store import (
     COORDINATES,
+    JointNames,
     Selection,
     dataset_id,
     frame_mask,
@@ -25,6 +26,11 @@ from cabinpose.store import (
     read_splits,
     with_labels,
 )
+
+_EXAMPLES = {
+    "places": "write --places standing=driver",
+    "joints": "write --joints itop.head=head lshoulder=lshoulder, or the name of a set: --joints itop",
+}
 
 
 def opened(folder: Path, labels: Path | None = None) -> xr.Dataset:
@@ -48,6 +54,22 @@ def frames_with(dataset: xr.Dataset, selections: Sequence[Selection], where: str
     if not mask.any():
         raise DatasetError("no frame has all that is selected", hint="`cabinpose info` counts the frames by coordinate")
     return dataset if mask.all() else dataset.isel(frame=np.flatnonzero(mask))
+
+
+def new_names(words: Sequence[str], flag: str) -> dict[str, str]:
+    """The names of words such as standing=driver, new by old; ConfigError for a word that is none, and for a name given twice."""
+    found: dict[str, str] = {}
+    for word in words:
+        old, equals, new = word.partition("=")
+        if not (old and equals and new) or old in found:
+            raise ConfigError(f"--{flag}: '{word}' {'is named twice' if old in found else 'names nothing'}", hint=_EXAMPLES[flag])
+        found[old] = new
+    return found
+
+
+def joint_names(words: Sequence[str]) -> JointNames:
+    """The words after --joints: new names by old, or the one set that joints are taken of."""
+    return words[0] if len(words) == 1 and "=" not in words[0] else new_names(words, "joints")
 
 
 def selection(words: Sequence[str]) -> Selection:

@@ -19,7 +19,7 @@ from cabinpose.core import ConfigError, Registry, check_output
 
 if TYPE_CHECKING:
     from cabinpose.app.training_split import Sides
-    from cabinpose.estimate import Frames, FrameSpec
+    from cabinpose.estimate import Frames, FrameSpec, TrainConfig
 
 
 def _methods(_default: str) -> str:
@@ -84,11 +84,13 @@ def run(command: Train) -> None:
 
     config = read_train_config(command.config, command.method)  # what is wrong is told before torch is loaded
     check_loggers(command.logger)
+    if config.data and command.synth is not None:
+        raise ConfigError("`data` is of datasets, and --synth generates frames", hint="leave `data` out of the configuration")
     fitted = isinstance(METHODS[config.method], ArrayMethod)
     if command.export is not None:
         _check_export(command.export, config.method, fitted=fitted, replaced=command.resume)
     helps = any(os.environ.get(name, "0") != "0" for name in _RANKS)
-    sides = None if command.synth is not None else _sides(command, helps=helps)
+    sides = None if command.synth is not None else _sides(command, config, helps=helps)
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress(silent=helps)), False
         report.phase("loading torch")
@@ -141,9 +143,10 @@ def _check_export(out: Path, method: str, *, fitted: bool, replaced: bool) -> No
     check_output(out)
 
 
-def _sides(command: Train, *, helps: bool) -> Sides:
+def _sides(command: Train, config: TrainConfig, *, helps: bool) -> Sides:
     """Who learns and who validates; warns of labels that are hardly right, unless it only helps."""
     from cabinpose.app.training_split import training_split
+    from cabinpose.estimate import as_configured
     from cabinpose.store import open_dataset, warn_of_labels
 
     if not command.datasets:
@@ -154,7 +157,7 @@ def _sides(command: Train, *, helps: bool) -> Sides:
     if not helps:
         for name, dataset in datasets.items():
             warn_of_labels(dataset, name)
-    return training_split(datasets, command.splits, command.train, command.validate, share=command.val)
+    return training_split(as_configured(config, datasets), command.splits, command.train, command.validate, share=command.val)
 
 
 def _frames(command: Train, sides: Sides | None, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]:

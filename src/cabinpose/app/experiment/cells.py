@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, draw, opened
-from cabinpose.core import ConfigError, make_folder, read_arrays, whole_file, write_whole
+from cabinpose.core import SKELETONS, ConfigError, make_folder, read_arrays, whole_file, write_whole
+from cabinpose.estimate import METHODS
 from cabinpose.evaluate import EvaluationOptions, ModelErrors, clusters_of, errors_of, joined_errors, samples_of
 from cabinpose.store import MANIFEST_NAME, read_manifest
 from cabinpose.synth import Existing, SynthConfig, generate
@@ -141,6 +142,11 @@ class TrainCell(ExperimentCell):
     def frame_count(self) -> int:
         return sum(source.frames for source in self.train)
 
+    @property
+    def settings(self) -> Any:
+        """The settings of its method."""
+        return METHODS[self.recipe["method"]].settings(self.recipe["settings"])
+
     def drawn(self) -> tuple[list[Drawn], list[Drawn]]:
         """The frames that are learnt from and those that validate, by part; the latter are drawn first, in whole sequences."""
         judged: list[Drawn] = []
@@ -173,7 +179,7 @@ class TrainCell(ExperimentCell):
 
         config = TrainConfig.model_validate(self.recipe)
         learnt, judged = self.drawn()
-        sides = (_sides(self.train, learnt), _sides(self.validation, judged))
+        sides = (_sides(self.train, learnt, self.settings), _sides(self.validation, judged, self.settings))
         training, validation = stored_frames(sides, frame_spec(config))
         last = self.folder / "last.ckpt"
         best = self.folder / "best.npz"
@@ -218,7 +224,7 @@ class TestCell(ExperimentCell):
     def _made(self) -> dict[str, Any]:
         parts, names = [], []
         for source, drawn in zip(self.frames, self.drawn(), strict=True):
-            for dataset in opened(source.part, drawn).values():
+            for dataset in opened(source.part, drawn, self.trained.settings).values():
                 errors, joints = _judged(dataset, self.trained.model(), self.slots)
                 parts.append(errors)
                 names.append(joints)
@@ -228,11 +234,11 @@ class TestCell(ExperimentCell):
         return {"frames": whole.frames}
 
 
-def _sides(sources: Iterable[SelectedFrames], drawn: Iterable[Drawn]) -> dict[str, Any]:
+def _sides(sources: Iterable[SelectedFrames], drawn: Iterable[Drawn], settings: Any) -> dict[str, Any]:
     """The frames of some parts by name, each once."""
     result: dict[str, Any] = {}
     for source, frames in zip(sources, drawn, strict=True):
-        for name, dataset in opened(source.part, frames).items():
+        for name, dataset in opened(source.part, frames, settings).items():
             result[name if name not in result else f"{name} ({len(result)})"] = dataset
     return result
 
@@ -256,4 +262,5 @@ def _judged(dataset: Any, model: Path, slots: tuple[str, ...]) -> tuple[ModelErr
         errors = ModelErrors(drawn_with, np.zeros(0, np.int64), none, none, nobody, nobody, np.stack(counts))
         return errors, tuple(part.name for part in found.parts)
     samples, _ = samples_of(dataset, found, EvaluationOptions(resamples=0), persons=slots)
-    return errors_of(samples), samples.skeleton.joints
+    joints = tuple(joint for joint in SKELETONS[samples.skeleton.name].joints if joint in found.joints)
+    return errors_of(samples, joints), joints  # also those that these frames have nobody with: other parts of a test may

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping
 from importlib.resources import files
+from operator import not_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cabinpose.core import ConfigError, unknown_name
 from cabinpose.evaluate import Measure
-from cabinpose.store import parse_selection, read_mapping, validated
+from cabinpose.store import JointNames, parse_selection, read_mapping, validated
 
 HINT = "docs/experiments.md lists the keys"
 _DEPTH = 8  # files that build on each other
@@ -68,9 +69,14 @@ class FrameSelection(Keys):
     action: tuple[str, ...] = Field((), description="Everybody in the frame does one of these.")
     pov: tuple[str, ...] = Field((), description="Views.")
     sequence: tuple[int, ...] = Field((), description="Sequences, by number.")
-    folds: Mapping[str, tuple[int, ...]] = Field({}, description="Folds of one of these: subject/5: [1].")
+    folds: Mapping[str, tuple[int, ...]] = Field({}, exclude_if=not_, description="Folds of one of these: subject/5: [1].")
     depth: Literal["depth", "depth_styled", "depth_clean"] = Field("depth", description="The image that is read as depth.")
     places: Mapping[str, str] = Field({}, description="Places of the dataset by new names: {standing: driver}; the others go.")
+    joints: JointNames = Field(
+        {},
+        exclude_if=not_,
+        description="Joints of the dataset by new names, or their set: itop; others are not labelled.",
+    )
 
     @model_validator(mode="before")
     @classmethod

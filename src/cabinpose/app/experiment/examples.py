@@ -91,7 +91,9 @@ def shown_frames(plan: ExperimentPlan, results: Results) -> ShownFrames:
 def _drawn(cell: TestCell, joints: Sequence[str], positions: Iterable[int]) -> Iterable[tuple[Html, str]]:
     from cabinpose.app.models import opened_models  # noqa: PLC0415 - ONNX Runtime
 
-    datasets = [each for s, d in zip(cell.frames, cell.drawn(), strict=True) for each in opened(s.part, d).values()]
+    datasets = [
+        each for s, d in zip(cell.frames, cell.drawn(), strict=True) for each in opened(s.part, d, cell.trained.settings).values()
+    ]
     firsts, options = [0, *accumulate(each.sizes["frame"] for each in datasets)], EvaluationOptions(resamples=0)
     for position in positions:
         number = int(np.searchsorted(firsts, position, side="right")) - 1

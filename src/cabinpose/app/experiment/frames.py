@@ -21,7 +21,17 @@ from cabinpose.app.experiment.config import Data, Experiment, FineTuning, FrameS
 from cabinpose.app.extras import require
 from cabinpose.app.training_split import individuals
 from cabinpose.core import ConfigError, DatasetError, unknown_name
-from cabinpose.store import dataset_id, draw_rng, frame_mask, open_dataset, read_manifest, unfolded, validated, values_of
+from cabinpose.store import (
+    as_named,
+    dataset_id,
+    draw_rng,
+    frame_mask,
+    open_dataset,
+    read_manifest,
+    unfolded,
+    validated,
+    values_of,
+)
 from cabinpose.synth import CabinScene, SequenceConfig, SynthConfig, is_random_car
 
 Identity = tuple[str, int | None]
@@ -448,8 +458,11 @@ def _refuse_unknown(datasets: Sequence[xr.Dataset], part: FrameSelection, where:
             )
 
 
-def opened(part: FrameSelection, drawn: Drawn) -> dict[str, xr.Dataset]:
-    """The frames that were drawn, by the name of their piece, with depth and places as the part has them."""
+def opened(part: FrameSelection, drawn: Drawn, settings: Any) -> dict[str, xr.Dataset]:
+    """The frames that were drawn, by the name of their piece, with depth, and places and joints by the part's names.
+
+    settings: of the method that they are for, whose places and set of joints these are.
+    """
     result = {}
     for piece, positions in drawn:
         dataset = open_dataset(piece.folder).isel(frame=positions)
@@ -457,14 +470,7 @@ def opened(part: FrameSelection, drawn: Drawn) -> dict[str, xr.Dataset]:
             if part.depth not in dataset:
                 raise DatasetError(f"{piece.name} has no {part.depth}", hint="leave `depth` out of the part")
             dataset = dataset.drop_vars("depth").rename({part.depth: "depth"})
-        if part.places:
-            persons = [str(name) for name in dataset["person"].values]
-            for place in part.places:
-                if place not in persons:
-                    raise unknown_name("place", place, persons)
-            rows = [persons.index(place) for place in part.places]
-            dataset = dataset.isel(person=rows).assign_coords(person=list(part.places.values()))
-        result[piece.name] = dataset
+        result[piece.name] = as_named(dataset, part.places, part.joints, skeleton=settings.joint_set.name, slots=settings.slots)
     return result
 
 

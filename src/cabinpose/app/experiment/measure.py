@@ -98,7 +98,7 @@ def _sample_s(cell: TrainCell, some: _Samples, folder: Path) -> float | None:
     place = piece.folder if there else some.of(piece)[1]
     shown = DatasetPiece(piece.name, place, piece.key, piece.frames, piece.people, piece.cars)
     at = np.arange(min(open_dataset(place).sizes["frame"], max(_FRAMES, config.batch)))
-    part = opened(source.part, [(shown, at)])
+    part = opened(source.part, [(shown, at)], cell.settings)
     spent = []
     for steps in _STEPS:
         few = config.model_copy(update={"epochs": 1, "epoch_steps": steps})

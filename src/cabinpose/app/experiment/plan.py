@@ -101,10 +101,13 @@ class ExperimentPlan:
                 continue
             trained = [cell.trained, *filter(None, [cell.trained.begins])]
             if test not in seen:
-                seen[test] = _contents(cell.frames, cell.drawn())
+                seen[test] = _contents(cell.frames, cell.drawn(), cell.trained.settings)
             for each in trained:
                 if each.key not in seen:
-                    learnt, judged = map(_contents, (each.train, each.validation), each.drawn())
+                    learnt, judged = (
+                        _contents(sources, drawn, each.settings)
+                        for sources, drawn in zip((each.train, each.validation), each.drawn(), strict=True)
+                    )
                     if "subject" not in self.experiment.trainings[row].may_share:
                         _refuse_shared("subject", learnt["subject"] & judged["subject"], f"training {row}", *_ITS_VALIDATION)
                     seen[each.key] = {kind: learnt[kind] | judged[kind] for kind in learnt}
@@ -241,6 +244,8 @@ class _Planner:
         """The configuration of a repeat: the experiment's, changed by the scale, then by the row."""
         scale = self._scale
         plain = merged(merged(self._experiment.recipe, scale.recipe), row.recipe)
+        if "data" in plain:
+            raise ConfigError("recipe.data: parts say how places and joints are called", hint="give places and joints in a part")
         for key in ("epochs", "epoch_steps", "seed"):
             if key in plain:
                 raise ConfigError(f"recipe.{key}: a scale says it", hint="give steps, epochs and repeats in `scales`")
@@ -265,10 +270,10 @@ class _Planner:
                 check_subjects(whole, f"{where} and its validation")
 
 
-def _contents(sources: Iterable[SelectedFrames], drawn: Sequence[Drawn]) -> dict[str, set[Any]]:
+def _contents(sources: Iterable[SelectedFrames], drawn: Sequence[Drawn], settings: Any) -> dict[str, set[Any]]:
     """What is in the frames of some parts, which can be opened as these say."""
     for source, frames in zip(sources, drawn, strict=True):
-        opened(source.part, frames)
+        opened(source.part, frames, settings)
     return contents(drawn)
 
 

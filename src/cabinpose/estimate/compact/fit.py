@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.batch import NOT_LABELLED, Batch
 from cabinpose.estimate.compact.model import STRIDE, Compact, Votes
 
 _SPREAD = 1.2  # cells: standard deviation of the target weights around a joint
@@ -30,12 +30,14 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
     image: smooth L1 of u, v in cells · depth: smooth L1 of z in decimetres · earlier_image, earlier_depth: the
     same of the joints before each look · votes: cross entropy of the weights with a
     Gaussian around the joint · inside, visible, present, wheel: binary cross entropies; where there is no wheel, or nothing says
-    where, as likely as not. Only people who are there count for their joints.
+    where, as likely as not. Only people who are there count for their joints, and of
+    them only joints that are labelled.
     """
     votes: Votes = network(*batch.images(network.config.inputs))
     truth = batch.joints
     known = batch.present.unsqueeze(-1) & (batch.visibility > 0) & torch.isfinite(truth).all(-1)
     inside = known & (batch.visibility > 1)
+    told = batch.present.unsqueeze(-1) & (batch.visibility != NOT_LABELLED)
     weight = known * torch.where(inside, 1.0, _OUTSIDE)
     # A joint far outside would pull the mean of the votes beyond what the offsets reach.
     limit = truth.new_tensor((network.config.width, network.config.height))
@@ -55,8 +57,8 @@ def loss(network: Compact, batch: Batch) -> dict[str, Tensor]:
         terms["earlier_depth"] = terms.get("earlier_depth", 0.0) + depth
     terms |= {
         "votes": _cross_entropy(votes.weights, uv, inside, network.cells),
-        "inside": _binary(votes.inside, batch.visibility > 1, batch.present.unsqueeze(-1).expand_as(inside)),
-        "visible": _binary(votes.visible, batch.visibility == 4, batch.present.unsqueeze(-1).expand_as(inside)),
+        "inside": _binary(votes.inside, batch.visibility > 1, told),
+        "visible": _binary(votes.visible, batch.visibility == 4, told),
         "present": functional.binary_cross_entropy_with_logits(votes.present, batch.present.float()),
         "wheel": functional.binary_cross_entropy_with_logits(votes.wheel, _left(batch.wheel, votes.wheel)),
     }

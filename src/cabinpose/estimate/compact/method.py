@@ -10,7 +10,7 @@ import numpy as np
 
 from cabinpose.estimate.compact.config import CompactConfig
 from cabinpose.estimate.found import Found, sigmoid
-from cabinpose.estimate.methods import Arrays, NetworkMethod
+from cabinpose.estimate.methods import Arrays, Layout, NetworkMethod
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -39,6 +39,11 @@ class CompactMethod(NetworkMethod[CompactConfig]):
         from cabinpose.estimate.compact.fit import loss  # noqa: PLC0415 - torch
 
         return loss(network, batch)
+
+    def layout(self, settings: CompactConfig) -> Layout:
+        from cabinpose.estimate.compact.model import layout  # noqa: PLC0415 - torch
+
+        return layout(settings)
 
     def mirrored(self, network: Compact) -> Mirrored:
         from cabinpose.estimate.compact.model import Mirrored  # noqa: PLC0415 - torch

@@ -10,6 +10,8 @@ resolution around each joint, knowing all others, and corrects it.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -19,6 +21,7 @@ from cabinpose.estimate.batch import ray_tensor
 from cabinpose.estimate.compact.config import BackboneConfig, CompactConfig
 from cabinpose.estimate.compact.refine import Refine
 from cabinpose.estimate.found import mirrored_slots
+from cabinpose.estimate.methods import Layout
 
 STRIDE = 8
 _CHANNELS = {("depth",): 4, ("depth", "amplitude"): 5, ("amplitude",): 2, ("rgb",): 3}  # by the images that are read
@@ -166,6 +169,17 @@ class Compact(Backbone):
             weights,
             tuple(earlier),
         )
+
+
+def layout(config: CompactConfig) -> Layout:
+    """What rows of the network's tensors stand for: a vote's values are those of a place's joint, in this order."""
+    slots, joints = config.slots, config.shared_joints
+    found: dict[str, Mapping[int, Sequence[Hashable]]] = {}
+    for kind in ("weight", "bias"):
+        found |= {f"votes.{kind}": {0: [*product(slots, joints, range(_VALUES))]}, f"present.2.{kind}": {0: slots}}
+    for i in range(len(config.looks_px)):
+        found |= {f"looks.{i}.place": {0: slots, 1: joints}, f"looks.{i}.embed": {0: joints}, f"looks.{i}.say": {0: joints}}
+    return found
 
 
 def squared_m(apart: Tensor, depth: Tensor, focal: float) -> Tensor:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.estimate.lifting.config import LiftingConfig
-from cabinpose.estimate.methods import Arrays, NetworkMethod
+from cabinpose.estimate.methods import Arrays, Layout, NetworkMethod
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -32,6 +33,13 @@ class LiftingMethod(NetworkMethod[LiftingConfig]):
         from cabinpose.estimate.lifting.model import Lifting  # noqa: PLC0415 - torch
 
         return Lifting(settings)
+
+    def layout(self, settings: LiftingConfig) -> Layout:
+        """Columns of the first layer and rows of the last, see `model.Lifting.forward`."""
+        joints = settings.shared_joints
+        given = {1: [*product(joints, "xy"), *product(joints, ["known"]), *product(["centre"], "xy")]}
+        found = {0: [*product(joints, "xyz"), *product(["root"], "xyz")]}
+        return {"first.0.weight": given, "last.weight": found, "last.bias": found}
 
     def loss(self, network: Lifting, batch: PeopleBatch) -> dict[str, Tensor]:
         from cabinpose.estimate.lifting.fit import loss  # noqa: PLC0415 - torch

@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from cabinpose.core import Visibility
-from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.batch import NOT_LABELLED, Batch
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.model import STRIDE, Maps, Paf
 
@@ -16,7 +16,8 @@ def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     """The terms of the loss and their sum, `loss`, as means over the frames.
 
     heat, fields: half the squared L2 norm of the maps' error, all stages (Caffe's Euclidean loss; the thesis prints the norm
-    itself) · presence: for each joint the cross entropy of its labels divided by their number, summed over the joints.
+    itself) · presence: for each joint the cross entropy of its labels divided by their number, summed over the joints. Maps and
+    presence of a joint count where everybody's is labelled; fields where both ends' are, and the background where all are.
     """
     (image,) = batch.images(network.config.inputs)
     maps: Maps = network(image)
@@ -25,13 +26,17 @@ def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     n = len(image)
     labels = network.config.presence_labels
     zero = maps.heat.new_zeros(())
+    told = (batch.visibility != NOT_LABELLED).all(dim=1)  # (N, J)
+    of_heat = torch.cat((told, told.all(dim=1, keepdim=True)), dim=1)[..., None, None]
+    ends = torch.tensor(network.config.joint_set.limbs, device=told.device)
+    of_fields = told[:, ends].all(dim=-1).repeat_interleave(2, dim=1)[..., None, None]
     terms = {
-        "fields": sum((0.5 * ((f - fields) ** 2).sum() / n for f, _ in maps.stages), start=zero),
-        "heat": sum((0.5 * ((h - heat) ** 2).sum() / n for _, h in maps.stages), start=zero),
+        "fields": sum((0.5 * (of_fields * (f - fields) ** 2).sum() / n for f, _ in maps.stages), start=zero),
+        "heat": sum((0.5 * (of_heat * (h - heat) ** 2).sum() / n for _, h in maps.stages), start=zero),
     }
     if labels:
-        wrong = functional.cross_entropy(maps.presence.flatten(0, 1), presence_of(batch, labels).flatten(), reduction="sum")
-        terms["presence"] = wrong / labels / n
+        wrong = functional.cross_entropy(maps.presence.flatten(0, 1), presence_of(batch, labels).flatten(), reduction="none")
+        terms["presence"] = (wrong * told.flatten()).sum() / labels / n
     terms["loss"] = sum(terms.values(), start=zero)
     return terms
 

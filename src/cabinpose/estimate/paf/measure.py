@@ -27,11 +27,20 @@ def measured(config: PafConfig, frames: Sequence[Kept]) -> PafConfig:
 
 
 def slot_anchors(config: PafConfig, frames: Sequence[Kept]) -> dict[str, tuple[float, float]]:
-    """Mean (u, v) of the neck in the view, to a tenth of a pixel, of each place where somebody sat in view of the camera."""
+    """Mean (u, v) of the neck in the view, to a tenth of a pixel, of each place where somebody sat in view of the camera.
+
+    Of people whose neck is not known it is the mean of their joints, as in `decode.slots_of`.
+    """
     neck = config.joints.index(config.joint_set.spine[0])
     anchors = {}
     for s, slot in enumerate(config.slots):
-        uv = [f.joints[s, neck, :2] for f in frames if f.present[s] and np.isfinite(f.joints[s, neck]).all()]
+        people = [f.joints[s] for f in frames if f.present[s]]
+        known = [joints[np.isfinite(joints).all(axis=-1)] for joints in people]
+        uv = [
+            joints[neck, :2] if np.isfinite(joints[neck]).all() else some[:, :2].mean(axis=0)
+            for joints, some in zip(people, known, strict=True)
+            if len(some)
+        ]
         if uv:
             u, v = np.mean(np.asarray(uv, dtype=np.float64), axis=0)
             anchors[slot] = (round(float(u), 1), round(float(v), 1))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from cabinpose.estimate.found import Found
 from cabinpose.estimate.inputs import Kept
-from cabinpose.estimate.methods import Arrays, NetworkMethod
+from cabinpose.estimate.methods import Arrays, Layout, NetworkMethod
 from cabinpose.estimate.paf.config import PafConfig
 from cabinpose.estimate.paf.decode import decode
 from cabinpose.estimate.paf.measure import measured
@@ -41,6 +41,11 @@ class PafMethod(NetworkMethod[PafConfig]):
         from cabinpose.estimate.paf.model import Paf  # noqa: PLC0415 - torch
 
         return Paf(settings)
+
+    def layout(self, settings: PafConfig) -> Layout:
+        from cabinpose.estimate.paf.model import layout  # noqa: PLC0415 - torch
+
+        return layout(settings)
 
     def loss(self, network: Paf, batch: Batch) -> dict[str, Tensor]:
         from cabinpose.estimate.paf.fit import loss  # noqa: PLC0415 - torch

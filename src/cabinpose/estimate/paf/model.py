@@ -9,15 +9,19 @@ branch.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping, Sequence
+from itertools import product
 from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
 
 from cabinpose.estimate.batch import ray_tensor
+from cabinpose.estimate.methods import Layout
 from cabinpose.estimate.paf.config import PafConfig
 
 STRIDE = 8
+_LAST, _LAST_REFINED = 12, 18  # positions of the answering layers in a branch and in a refinement
 _CLOUD_M = 1.5  # the cloud's x and y in -1.5 to 1.5 m are mapped to 0..255
 _AMPLITUDE = 500.0  # the amplitude that is mapped to 255
 
@@ -120,6 +124,28 @@ class Paf(nn.Module):
         else:
             presence = image.new_zeros((image.shape[0], len(self.config.joints), 2))
         return Maps(*stages[-1], presence, tuple(stages))
+
+
+def layout(config: PafConfig) -> Layout:
+    """What rows of the network's tensors stand for, in the order of `Maps`; the joints' own layers know the cells of the view."""
+    joints, width, height = config.shared_joints, config.width // STRIDE, config.height // STRIDE
+    fields = [*product([(joints[a], joints[b]) for a, b in config.joint_set.limbs], "xy")]
+    heat = [*joints, "background"]
+    cells = [*product([f"{width} x {height} cells"], range(width * height))]
+    features = [*range(max(4, round(config.channels * 128)))]
+    found: dict[str, Mapping[int, Sequence[Hashable]]] = {}
+    for kind in ("weight", "bias"):  # of the last layers
+        found |= {f"fields.{_LAST}.{kind}": {0: fields}, f"heat.{_LAST}.{kind}": {0: heat}}
+        for stage in range(config.stages - 1):
+            found[f"refined_fields.{stage}.{_LAST_REFINED}.{kind}"] = {0: fields}
+            found[f"refined_heat.{stage}.{_LAST_REFINED}.{kind}"] = {0: heat}
+    for stage in range(config.stages - 1):
+        for name in ("fields", "heat"):
+            found[f"refined_{name}.{stage}.0.weight"] = {1: [*fields, *heat, *features]}
+    if config.presence_labels:
+        own = (f"presence.{_LAST}.weight", f"presence.{_LAST}.bias", "classify.first_bias", "classify.second")
+        found |= {name: {0: joints} for name in (*own, "classify.second_bias")} | {"classify.first": {0: joints, 1: cells}}
+    return found
 
 
 class Presence(nn.Module):

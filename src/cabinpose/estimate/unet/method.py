@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.estimate.methods import Arrays, NetworkMethod
+from cabinpose.estimate.methods import Arrays, Layout, NetworkMethod
 from cabinpose.estimate.unet.config import UnetConfig
 
 if TYPE_CHECKING:
@@ -33,6 +33,11 @@ class UnetMethod(NetworkMethod[UnetConfig]):
         from cabinpose.estimate.unet.model import Unet  # noqa: PLC0415 - torch
 
         return Unet(settings)
+
+    def layout(self, settings: UnetConfig) -> Layout:
+        """Rows of the last layer, one a part."""
+        parts = {0: [part.name for part in settings.parts]}
+        return {"parts.last.weight": parts, "parts.last.bias": parts}
 
     def loss(self, network: Unet, batch: Batch) -> dict[str, Tensor]:
         from cabinpose.estimate.unet.fit import loss  # noqa: PLC0415 - torch

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from cabinpose.estimate.batch import Batch
+from cabinpose.estimate.batch import NOT_LABELLED, Batch
 from cabinpose.estimate.paf.decode import WINDOW
 from cabinpose.estimate.yolo.config import OFFSET_M, YoloConfig
 from cabinpose.estimate.yolo.model import Grid, Yolo
@@ -19,13 +19,15 @@ class Truths(NamedTuple):
     """T = slots x joints true joints of N frames.
 
     known: (N, T) in the image · cell: (N, T) of the grid, row by row · box: (N, T, 4) x, y relative to the cell, width and
-    height relative to the view · offset: (N, T) from the surface to the joint in dm, NaN where none of its own skin is seen.
+    height relative to the view · offset: (N, T) from the surface to the joint in dm, NaN where none of its own skin is seen ·
+    labelled: (N, T) whether the joint is somewhere else, or with nobody, where it is not known.
     """
 
     known: Tensor
     cell: Tensor
     box: Tensor
     offset: Tensor
+    labelled: Tensor
 
 
 def loss(network: Yolo, batch: Batch) -> dict[str, Tensor]:
@@ -33,7 +35,8 @@ def loss(network: Yolo, batch: Batch) -> dict[str, Tensor]:
 
     place, size: squared errors of x, y and of the roots of width and height, of the boxes that answer for a joint, times
     `coord` · confidence: of those boxes, from their intersection over union with the joint's box · empty: of all others, from
-    0, times `noobj` · classes: of the cells that hold a joint · offset: as place, where the joint's own skin is seen.
+    0, times `noobj` · classes: of the cells that hold a joint · offset: as place, where the joint's own skin is seen. A joint
+    that is not labelled has no class, and might be in any cell, so that none of its frame counts as empty.
     """
     grid: Grid = network(*batch.images(network.config.inputs))
     return grid_loss(grid, truths(batch, network.config), network.config)
@@ -66,8 +69,8 @@ def grid_loss(grid: Grid, true: Truths, config: YoloConfig) -> dict[str, Tensor]
         "place": config.coord * total(mine[..., :2] - true.box[..., :2], both),
         "size": config.coord * total(mine[..., 2:4] - roots, both),
         "confidence": total(mine[..., 4] - aim, answering),
-        "empty": config.noobj * total(sure, ~taken),
-        "classes": total(grid.classes.flatten(2) - held, cells.unsqueeze(1)),
+        "empty": config.noobj * total(sure, ~taken & true.labelled.all(dim=1)[:, None, None]),
+        "classes": total(grid.classes.flatten(2) - held, cells.unsqueeze(1) & true.labelled.unsqueeze(2)),
         "offset": config.coord * total(mine[..., 5] - torch.nan_to_num(true.offset), skin),
     }
     terms["loss"] = sum(terms.values(), start=sure.new_zeros(()))
@@ -87,7 +90,8 @@ def truths(batch: Batch, config: YoloConfig) -> Truths:
     surface = surface_depth(batch.depth, uvz[..., :2])
     offset = uvz[..., 2] - surface
     offset = torch.where(known & (offset.abs() < _OWN_SKIN_M), offset / OFFSET_M, torch.nan)
-    return Truths(known, (cell[..., 1] * across + cell[..., 0]).long(), box, offset)
+    labelled = (batch.visibility != NOT_LABELLED).flatten(1)
+    return Truths(known, (cell[..., 1] * across + cell[..., 0]).long(), box, offset, labelled)
 
 
 def surface_depth(depth: Tensor, uv: Tensor) -> Tensor:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cabinpose.estimate.found import Found
-from cabinpose.estimate.methods import Arrays, NetworkMethod
+from cabinpose.estimate.methods import Arrays, Layout, NetworkMethod
 from cabinpose.estimate.paf.decode import surface_depth
 from cabinpose.estimate.yolo.config import OFFSET_M, YoloConfig
 
@@ -30,6 +31,11 @@ class YoloMethod(NetworkMethod[YoloConfig]):
         from cabinpose.estimate.yolo.model import Yolo  # noqa: PLC0415 - torch
 
         return Yolo(settings)
+
+    def layout(self, settings: YoloConfig) -> Layout:
+        """Rows of the classes, see `model.Grid`."""
+        classes = {0: [*product(settings.slots, settings.shared_joints)]}
+        return {"classes.weight": classes, "classes.bias": classes}
 
     def loss(self, network: Yolo, batch: Batch) -> dict[str, Tensor]:
         from cabinpose.estimate.yolo.fit import loss  # noqa: PLC0415 - torch
