@@ -87,7 +87,12 @@ def expected_errors(table: Table, joints: Sequence[str], found: Found) -> Array:
 
 def usual_errors(table: Table, joints: Sequence[str]) -> Array:
     """(J,) m, what half of the answers were expected to be better than where the table was fitted; NaN = not known."""
-    return np.array([np.median(table[name]["error_m"]) if name in table else np.nan for name in joints])
+    return np.array([_middle(table[name]["error_m"]) if name in table else np.nan for name in joints])
+
+
+def _middle(rising: Sequence[float]) -> float:
+    """The median of numbers that rise; numpy's own loads half a megabyte the first time."""
+    return (rising[(len(rising) - 1) // 2] + rising[len(rising) // 2]) / 2
 
 
 def check(table: Any) -> Table:

@@ -27,6 +27,7 @@ Arrays = Mapping[str, NDArray[Any]]
 """Arrays by name."""
 Progress = Callable[[int, int, str], None]
 """Called with batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is done."""
+ARRAYS_SUFFIX = ".npz"  # of models of an `ArrayMethod`
 S = TypeVar("S", bound=Settings)
 TaskName = Literal["joints", "parts", "lift"]
 
