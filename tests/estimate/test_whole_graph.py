@@ -82,6 +82,59 @@ def test_the_graph_gives_the_joints_of_the_predictor(whole: dict[str, Path], cam
     np.testing.assert_allclose(camera.project(joints[0][:, own], folded=True), pixels[0][:, own], atol=1e-2)
 
 
+def blind_frames(camera: Camera) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Depth (mm) and amplitude of frames in which nobody can be seen, one for each check, by what stands in its reason."""
+    rng = np.random.Generator(np.random.Philox(key=3))
+    size = (camera.height, camera.width)
+    column = np.arange(camera.width)
+    steps = np.where(column // 16 % 4 == 0, 1400, 1500) + np.zeros(size)  # edges of 7 % alone
+    slope = 600.0 + 3 * column + np.where((column // 20 % 9 == 0), 400, 0) + np.zeros(size)  # one surface but for a ninth
+    depths = {
+        "and 0.3 % are needed": np.zeros(size), "the lens is covered": np.full(size, 90.0) + 40 * (column % 3),
+        "nobody fits": rng.choice([250.0, 480.0], (camera.height // 16 + 1, camera.width // 16 + 1)).repeat(16, 0).repeat(16, 1),
+        "this is noise": rng.uniform(600, 2500, size), "no silhouette": steps, "one surface": slope,
+        "scattered points": np.where(rng.random(size) < 0.1, 1000.0 + column, 0.0),
+    }  # fmt: skip
+    lit = {
+        name: (d[: size[0], : size[1]], np.where(d > 0, 150e6 / np.maximum(d, 1) ** 2, 0)[: size[0], : size[1]])
+        for name, d in depths.items()
+    }
+    depth, light = frame(camera)
+    lit["have an amplitude above 0"] = depth, np.where(np.arange(camera.width) % 3 > 0, light, 0)
+    return {name: (d.round().astype(np.uint16), a.clip(0, 65535).round().astype(np.uint16)) for name, (d, a) in lit.items()}
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_graph_expects_the_errors_of_the_predictor_and_is_blind_where_it_is(whole: dict[str, Path]) -> None:
+    camera = CAMERAS["of a lens"]
+    depth, light = frame(camera)
+    blind = blind_frames(camera)
+    closer = np.where(depth > 0, depth - 300, 0).astype(np.uint16)
+    holes = np.where(np.arange(camera.width) % 5 < 3, depth, 0).astype(np.uint16)
+    shown = [(depth, light), (closer, light), (holes, light), (depth[:, ::-1], light[:, ::-1]), *blind.values()]
+    images = [np.ascontiguousarray(np.stack(each)) for each in zip(*shown, strict=True)]
+    frames = FrameBatch(
+        depth=images[0].astype(np.float32) / np.float32(1000), camera_k=camera.k, camera_dist=np.array(camera.dist),
+        amplitude=images[1],
+    )  # fmt: skip
+    told = load_model("in_car").predict(frames)
+    assert [*told.reason[:4]] == [""] * 4
+    assert all(words in reason for words, reason in zip(blind, told.reason[4:], strict=True)), told.reason[4:]
+    session = onnxruntime.InferenceSession(str(whole["mm"]), providers=["CPUExecutionProvider"])
+    given = {"camera_k": camera.k, "camera_dist": np.array(camera.dist), "depth": images[0], "amplitude": images[1]}
+    answers = dict(zip(whole_graph.OUTPUTS, session.run(list(whole_graph.OUTPUTS), given), strict=True))
+    assert np.isfinite(told.expected_error_m[:4]).any()
+    np.testing.assert_allclose(answers["expected_error"], told.expected_error_m, atol=1e-5)
+    np.testing.assert_allclose(answers["joints_3d"], told.joints_3d, atol=1e-4)
+    there = np.isfinite(told.joints_2d)  # not beyond where the lens folds: there the graph goes on by the polynomial
+    assert there[:4].mean() > 0.5
+    np.testing.assert_allclose(answers["joints_2d"][there], told.joints_2d[there], atol=1e-2)
+    assert np.isnan(answers["joints_2d"][4:]).all()
+    for name in ("presence", "score"):
+        np.testing.assert_allclose(answers[name], getattr(told, name), atol=1e-4)
+        assert not answers[name][4:].any()
+
+
 def test_a_graph_for_cars_with_the_wheel_on_the_right_names_the_front_row_so(tmp_path: Path) -> None:
     """Whatever the network sees; and so does the model itself."""
     camera = CAMERAS["pinhole"]

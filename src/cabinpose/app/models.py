@@ -83,6 +83,12 @@ def check_chosen(images: Sequence[str], models: Sequence[str]) -> None:
         )
 
 
+def seat_predictors(models: Sequence[Model]) -> list[JointPredictor]:
+    """Those of the models that tell seats by place, and so by where the wheel is."""
+    bases = [model.base if isinstance(model, LiftedPredictor) else model for model in models]
+    return [base for base in bases if isinstance(base, JointPredictor) and base.seats_by_place]
+
+
 def tell_drive_side(models: Sequence[Model], side: DriveSide | None) -> None:
     """Tell the models that tell seats by place where the wheel is; None: they go by what the frames or their files say.
 
@@ -90,8 +96,7 @@ def tell_drive_side(models: Sequence[Model], side: DriveSide | None) -> None:
     """
     if side is None:
         return
-    bases = [model.base if isinstance(model, LiftedPredictor) else model for model in models]
-    placed = [base for base in bases if isinstance(base, JointPredictor) and base.seats_by_place]
+    placed = seat_predictors(models)
     if not placed:
         raise ConfigError(
             f"--drive-side says nothing to {', '.join(map(model_name, models))}",

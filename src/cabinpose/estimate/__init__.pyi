@@ -13,6 +13,7 @@ from .expected_error import usual_errors as usual_errors
 from .export import export_onnx as export_onnx
 from .export import write_copy as write_copy
 from .found import Found as Found
+from .found import WheelOverTime as WheelOverTime
 from .found import sigmoid as sigmoid
 from .frame_dataset import FrameDataset as FrameDataset
 from .inputs import TICK_M as TICK_M

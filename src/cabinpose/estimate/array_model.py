@@ -15,8 +15,6 @@ from cabinpose.core import ModelError, read_arrays, whole_file
 from cabinpose.estimate.methods import ArrayMethod
 from cabinpose.estimate.onnx_model import METADATA_KEY, TrainedModel, existing
 
-SUFFIX = ".npz"
-
 
 class ArrayModel(TrainedModel):
     """What `cabinpose train` wrote for a method that is fitted to arrays."""

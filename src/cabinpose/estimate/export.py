@@ -6,10 +6,12 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import onnx
+import onnxruntime
 import torch
 from torch import Tensor, nn
 
@@ -22,6 +24,11 @@ from cabinpose.estimate.training import Detector, load_detector
 
 TOLERANCE = 1e-4  # greatest difference between torch and ONNX Runtime: px, m or logits; of values above 1 their share
 _OPSET = 18
+# Of ONNX Runtime's optimisers those that make other layers of the network's, whose names `read_weights` goes by.
+_FUSIONS = (
+    "ConvAddFusion", "ConvBNFusion", "ConvMulFusion", "GemmSumFusion", "GemmTransposeFusion", "MatMulAddFusion", "MatmulBNFusion",
+    "PadFusion", "TransposeOptimizer",
+)  # fmt: skip
 
 
 class _Named(nn.Module):
@@ -94,6 +101,7 @@ def write_onnx(
         write_graph(network, examples, method.outputs, partial)
         model = onnx.load(str(partial))
         _share(model.graph)
+        model = folded(model)
         settings = config.model_dump(mode="json")
         metadata = {"name": name, "method": method.name, "config": settings, "mirrored": mirrored, "card": dict(card)}
         metadata |= {TRAINED_ON: detector.trained_on, JOINT_DEFINITION: detector.joint_definition}
@@ -144,6 +152,33 @@ def _share(graph: onnx.GraphProto) -> None:
             graph.initializer.remove(array)
     for node in graph.node:
         node.input[:] = [other.get(name, name) for name in node.input]
+
+
+def folded(model: onnx.ModelProto) -> onnx.ModelProto:
+    """A float32 model with what depends on no input worked out, so that it opens in three quarters of the time.
+
+    It answers the same bytes. Its layers and weights keep their names, and what was worked out becomes `Constant` nodes:
+    initialisers are weights, to `halve` and `read_weights`.
+    """
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
+    with TemporaryDirectory() as folder:
+        options.optimized_model_filepath = str(Path(folder) / "folded.onnx")
+        onnxruntime.InferenceSession(
+            model.SerializeToString(), options, providers=["CPUExecutionProvider"], disabled_optimizers=_FUSIONS
+        )
+        result = onnx.load(options.optimized_model_filepath)
+    result.ir_version = model.ir_version
+    del result.opset_import[:]  # the runtime's own operators are listed as well, and none is used
+    result.opset_import.extend(model.opset_import)
+    graph, weights = result.graph, {array.name for array in model.graph.initializer}
+    arrays, nodes = list(graph.initializer), list(graph.node)
+    known = [onnx.helper.make_node("Constant", [], [array.name], value=array) for array in arrays if array.name not in weights]
+    del graph.initializer[:], graph.node[:]
+    graph.initializer.extend(array for array in arrays if array.name in weights)
+    graph.node.extend([*known, *nodes])
+    return result
 
 
 @torch.no_grad()

@@ -12,6 +12,9 @@ from cabinpose.estimate.settings import ViewSettings
 
 RIGHT_BELOW = -0.85
 """Logit of the wheel being on the left below which it is on the right: a probability of 0.3. Without a wheel it is 0.5."""
+_CERTAIN = 6.0  # logits beyond count as this: one frame that is sure of the wrong side is one frame
+_FORGETTING = 0.98  # from frame to frame: the last fifty count, 3 s
+_KEPT = 1.0  # by which the mean has to be beyond `RIGHT_BELOW` for the wheel to change its side
 _REAR, _FRONT = ("rear_left", "rear_right"), ("driver", "front_passenger")
 
 
@@ -35,6 +38,28 @@ class Found(NamedTuple):
         """What `change` makes of each array of people, and of that of other answers of the same model."""
         arrays = [change(*each) for each in zip(self[:-1], *(other[:-1] for other in others), strict=True) if each[0] is not None]
         return Found(*arrays)._replace(wheel=self.wheel)
+
+
+class WheelOverTime:
+    """Where a model sees the wheel in frames of one car in their order: the mean of its logits, of which older ones count less,
+    and a side that stays until the mean is well beyond the border between them.
+    """
+
+    def __init__(self) -> None:
+        self._sum = self._weight = 0.0
+        self._side = 0  # -1 = right, 1 = left, 0 = not known yet
+
+    def __call__(self, wheel: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) logits to decide by, of those of the next N frames."""
+        return np.array([self._next(float(logit)) for logit in wheel])
+
+    def _next(self, logit: float) -> float:
+        if np.isfinite(logit):
+            self._sum = _FORGETTING * self._sum + min(max(logit, -_CERTAIN), _CERTAIN)
+            self._weight = _FORGETTING * self._weight + 1.0
+        mean = self._sum / max(self._weight, 1.0) + _KEPT * self._side
+        self._side = -1 if mean < RIGHT_BELOW else 1
+        return mean
 
 
 def sigmoid(logit: NDArray[Any]) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ from cabinpose.core import (
 )
 from cabinpose.estimate.alternatives import ALTERNATIVES, Alternatives
 from cabinpose.estimate.expected_error import expected_errors, usual_errors
-from cabinpose.estimate.found import RIGHT_BELOW, Found, front_exchanged, mirrored
+from cabinpose.estimate.found import RIGHT_BELOW, Found, WheelOverTime, front_exchanged, mirrored
 from cabinpose.estimate.onnx_model import TrainedModel, cameras_of, image_in, slices, view_inputs
 from cabinpose.estimate.settings import PlacedSettings
 from cabinpose.estimate.sight import unseen
@@ -68,6 +68,8 @@ class JointPredictor:
         self._warned: set[str] = set()  # of what
         self._known: dict[Camera, _Known] = {}
         self.drive_side = ""  # "left" or "right": where the wheel is in all frames, whatever they or the file say
+        # While `predict` is given the frames of one car in their order; else each frame is a car by itself.
+        self.wheel_over_time: WheelOverTime | None = None
 
     @property
     def seats_by_place(self) -> bool:
@@ -86,7 +88,7 @@ class JointPredictor:
         for which in slices(len(image_in(frames))):
             cameras = cameras_of(frames, which)
             seen = self.seen(frames, which, cameras)
-            poses = self.poses(self.found(seen, frames, which), cameras)
+            poses = self.poses(self.found(seen, frames, which, over_time=self.wheel_over_time), cameras)
             batches.append(self.believed(poses, frames, which, seen, cameras))
         return joined(batches)
 
@@ -181,19 +183,30 @@ class JointPredictor:
         told = np.full(count, self.drive_side) if self.drive_side or "drive_side" not in frames else frames["drive_side"][which]
         return np.where(told == "", self.model.drive_side, told)
 
-    def found(self, seen: dict[str, NDArray[np.float32]], frames: FrameBatch, which: slice) -> Found:
+    def found(
+        self,
+        seen: dict[str, NDArray[np.float32]],
+        frames: FrameBatch,
+        which: slice,
+        *,
+        over_time: WheelOverTime | None = None,
+    ) -> Found:
         """The model's answers in its view to what it has `seen` of some frames, the driver at the wheel; a stage of `predict`.
 
         A model that sees the wheel answers by place, so that the front row is exchanged where it is on the right. Others see the
-        mirror image where it is on the other side, and so where they have learnt it.
+        mirror image where it is on the other side, and so where they have learnt it. over_time: what it saw of the wheel in the
+        frames before.
         """
         told = self._told(frames, which, len(next(iter(seen.values()))))
         if not isinstance(self.config, PlacedSettings):
-            return _at_the_wheel(self.model.run(seen), told, self.persons)
+            answer: Found = self.model.run(seen)
+            if over_time is not None and answer.wheel is not None:
+                answer = answer._replace(wheel=over_time(answer.wheel))
+            return _at_the_wheel(answer, told, self.persons)
         turned = (told != "") & (told != self.config.drive_side)
         if not turned.any():
-            answer: Found = self.model.run(seen)
-            return answer
+            plain: Found = self.model.run(seen)
+            return plain
         other: Found = self.model.run({name: _chosen(turned, images, images[..., ::-1]) for name, images in seen.items()})
         return other.map(partial(_chosen, turned), mirrored(other, self.config))
 
@@ -243,8 +256,8 @@ class JointPredictor:
         count = 1 if one else len(depth)
         if k.shape not in ((3, 3), (count, 3, 3)):
             raise ConfigError(f"camera_k of shape {k.shape} is no camera matrix", hint="give (3, 3), or (N, 3, 3) for N frames")
-        valid = depth[np.isfinite(depth) & (depth > 0)]
-        if valid.size and float(np.median(valid)) > _FAR_M:
+        # Counted: numpy's median loads half a megabyte the first time.
+        if 2 * np.count_nonzero((depth > _FAR_M) & (depth < np.inf)) > np.count_nonzero((depth > 0) & (depth < np.inf)):
             raise ConfigError(f"half of the depths are beyond {_FAR_M:g}", hint="depths are metres: divide millimetres by 1000")
         dist = np.zeros(5) if camera_dist is None else np.asarray(camera_dist, np.float64)
         frames = FrameBatch(depth=depth.reshape(count, *depth.shape[-2:]).astype(np.float32), camera_k=k, camera_dist=dist)

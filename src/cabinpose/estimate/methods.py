@@ -29,6 +29,7 @@ Layout = Mapping[str, Mapping[int, Sequence[Hashable]]]
 """By the name of a network's tensor and its axis, what each row stands for: tuples of names and numbers, a joint of a place."""
 Progress = Callable[[int, int, str], None]
 """Called with batches done, batches in all (0 before they are known), and in words the epoch and its figures or what is done."""
+ARRAYS_SUFFIX = ".npz"  # of models of an `ArrayMethod`
 S = TypeVar("S", bound=Settings)
 TaskName = Literal["joints", "parts", "lift"]
 

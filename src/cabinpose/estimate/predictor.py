@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import FrameBatch, ModelError, Part
-from cabinpose.estimate.array_model import SUFFIX, ArrayModel
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.lifter import Lifter
-from cabinpose.estimate.methods import METHODS
+from cabinpose.estimate.methods import ARRAYS_SUFFIX, METHODS
 from cabinpose.estimate.onnx_model import METADATA_KEY, OnnxModel, TrainedModel, cameras_of, slices, view_inputs
 from cabinpose.estimate.onnx_model import packaged_models as packaged_models
 
@@ -104,7 +103,11 @@ def describe_model(path: Path | str) -> dict[str, Any]:
 
 
 def _trained(path: Path, threads: int | None) -> TrainedModel:
-    return ArrayModel(path) if path.suffix == SUFFIX else OnnxModel(path, threads=threads)
+    if path.suffix != ARRAYS_SUFFIX:
+        return OnnxModel(path, threads=threads)
+    from cabinpose.estimate.array_model import ArrayModel  # noqa: PLC0415 - a megabyte, which no network needs
+
+    return ArrayModel(path)
 
 
 def packaged_detectors() -> dict[str, Path]:

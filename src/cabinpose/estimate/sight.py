@@ -67,6 +67,11 @@ class _Seen(NamedTuple):
     off: int
 
 
+def looked_at_every(height: int) -> int:
+    """Of a view of so many rows a pixel in so many a side is looked at."""
+    return max(1, min(_EVERY, height // _FEWEST_ROWS))
+
+
 def unseen(seen: Mapping[str, F32], filled: Sequence[float]) -> list[tuple[str, str]]:
     """For each frame why nobody can be seen in it, and what else stands out; "" = somebody might, and nothing does.
 
@@ -83,7 +88,7 @@ def unseen(seen: Mapping[str, F32], filled: Sequence[float]) -> list[tuple[str, 
         N reasons and N remarks, each with what was measured and what it is the mark of.
     """
     depth, amplitude = seen["depth"], seen.get("amplitude")
-    limits = _Limits(max(1, min(_EVERY, depth.shape[1] // _FEWEST_ROWS)))
+    limits = _Limits(looked_at_every(depth.shape[1]))
     return [
         _why(depth[i], None if amplitude is None else amplitude[i], float(share), limits)
         for i, share in zip(range(len(depth)), filled, strict=True)

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, make_folder, output_errors, write_whole
-from cabinpose.estimate.array_model import SUFFIX, write_arrays
+from cabinpose.estimate.array_model import write_arrays
 from cabinpose.estimate.augment import Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.curves import Curves
@@ -33,7 +33,7 @@ from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.guards import alone, interruptible, quiet, too_little_memory
 from cabinpose.estimate.inputs import Kept
 from cabinpose.estimate.loggers import check_loggers, open_loggers
-from cabinpose.estimate.methods import METHODS, ArrayMethod, NetworkMethod, Progress, method_of
+from cabinpose.estimate.methods import ARRAYS_SUFFIX, METHODS, ArrayMethod, NetworkMethod, Progress, method_of
 from cabinpose.estimate.onnx_model import JOINT_DEFINITION, TRAINED_ON, packaged_models
 from cabinpose.estimate.tasks import TASKS, Setting, Task
 from cabinpose.estimate.train_config import Machines, Observers, Start, usable_precision, with_old_keywords
@@ -298,7 +298,7 @@ class _WholeCheckpoints(TorchCheckpointIO):
 
 def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: Path, progress: Progress | None) -> Path:
     """Fit a method without a network; the model is `best.npz`, whose card has the validation figures of the task."""
-    best = out / f"best{SUFFIX}"
+    best = out / f"best{ARRAYS_SUFFIX}"
     if best.exists():
         raise ConfigError(f"{out} already holds a trained model", hint="give another folder with --out")
     config = complete(config, training)

@@ -2,7 +2,8 @@
 
 Around the network stand what `JointPredictor` does in numpy: the frame resampled to the model's view by the camera's intrinsics
 and lens, and the joints brought back to the camera, told by the definition of their set. Both are traced from torch and joined
-with the network's own graph, whichever file that is in. What is not in it are the checks of frames in which nobody can be seen.
+with the network's own graph, whichever file that is in. So are the checks of frames in which nobody can be seen, and the errors
+that are to be expected. What is not in it are words: reasons, remarks and warnings, and the trials of turned and scaled frames.
 """
 
 from __future__ import annotations
@@ -21,28 +22,33 @@ from onnx import compose
 from torch import Tensor, nn
 
 from cabinpose.core import Camera, ConfigError, FrameBatch, ModelError, make_folder, told_as, whole_file
+from cabinpose.estimate.expected_error import LEAST_SPREAD_M, SCORE_MARGIN
 from cabinpose.estimate.found import RIGHT_BELOW, front_exchanged
 from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.onnx_model import WHOLE, OnnxModel, cameras_of, open_session
 from cabinpose.estimate.settings import DepthUnit, ViewSettings
+from cabinpose.estimate.sight_graph import Sight
 
 TOLERANCE_M = 1e-4  # greatest difference between the graph and the predictor
-OUTPUTS = ("joints_3d", "joints_2d", "presence", "score")
+OUTPUTS = ("joints_3d", "joints_2d", "presence", "score", "expected_error")
 _OPSET = 18
 _LENS = (-0.18, 0.06, 0.001, -0.0008, -0.01)  # of a trial camera: an ordinary lens of 90 degrees
 _STEPS = 1025  # radii at which a lens is tried: where it folds at one, the rays beyond are not in the image
 
 
 class _Into(nn.Module):
-    """The camera's images as the model's view sees them: nearest pixel, 0 where the camera does not look."""
+    """The camera's images as the model's view sees them: nearest pixel, 0 where the camera does not look; and whether nobody can
+    be seen in them.
+    """
 
     def __init__(self, settings: ViewSettings, unit: DepthUnit) -> None:
         super().__init__()
+        self._sight = Sight(settings)
         self._view, self._unit = settings.view, unit
         self._rays = torch.from_numpy(settings.view.camera.rays.reshape(-1, 2).copy())  # (h w, 2)
 
     def forward(self, camera_k: Tensor, camera_dist: Tensor, depth: Tensor, *pictures: Tensor) -> tuple[Tensor, ...]:
-        """Images (N, H, W), pinhole (3, 3) and lens (5,), float64, as (N, h, w) float32 each."""
+        """Images (N, H, W), pinhole (3, 3) and lens (5,), float64, as (N, h, w) float32 each; (N,) bool."""
         n, height, width = depth.shape
         focal, centre = _focal(camera_k), _centre(camera_k)
         u, v = (_distorted(self._rays, camera_dist) * focal + centre).unbind(-1)
@@ -57,38 +63,50 @@ class _Into(nn.Module):
 
         z = seen(depth) / 1000.0 if self._unit == "mm" else seen(depth)
         valid = (z > 0) & (z <= self._view.max_depth_m)  # False for NaN
-        return torch.where(valid, z, 0.0), *(seen(picture) for picture in pictures)
+        looked = torch.where(valid, z, 0.0), *(seen(picture) for picture in pictures)
+        return *looked, self._sight(inside.double().mean(), *looked)
 
 
 class _Back(nn.Module):
     """What the network answers as joints of the camera: (u, v, z) of the view and logits as points, pixels and probabilities.
 
-    The driver is at the wheel, which is where the model's file says, or else where the network sees it.
+    A frame in which nobody can be seen has NaN and presence 0. The driver is at the wheel, which is where the model's file says,
+    or else where the network sees it.
     """
 
     def __init__(self, model: OnnxModel) -> None:
         super().__init__()
         self._view, count = model.config.view, len(model.joints)
         self._drive_side = model.drive_side if "wheel" in model.answers else ""
+        self.more = ("spreads",) if "spreads" in model.answers and model.expected_error else ()
+        self.more += ("wheel",) if "wheel" in model.answers and not model.drive_side else ()
         self._exchanged = front_exchanged(model.persons)
         # Weights by which joints of one definition are told as another's: what they make of each joint alone.
         told = told_as(np.eye(count), model.joints, model.learnt, model.config.joint_set)
         self._told = torch.from_numpy(np.array(told, np.float64))
+        self._expected = _Expected(model)
 
     def forward(
-        self, camera_k: Tensor, camera_dist: Tensor, joints: Tensor, inside: Tensor, visible: Tensor, present: Tensor,
-        wheel: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
-        """joints_3d (N, P, J, 3) m in the camera frame, joints_2d (N, P, J, 2) px, presence and score (N, P, J)."""
+        self, camera_k: Tensor, camera_dist: Tensor, unseen: Tensor, joints: Tensor, inside: Tensor, visible: Tensor,
+        present: Tensor, *more: Tensor,
+    ) -> tuple[Tensor, ...]:  # fmt: skip
+        """joints_3d (N, P, J, 3) m in the camera frame, joints_2d (N, P, J, 2) px; presence, score, expected error (N, P, J)."""
+        known = dict(zip(self.more, more, strict=True))
+        spreads, wheel = known.get("spreads"), known.get("wheel")
         if wheel is not None or self._drive_side == "right":
             joints, inside, visible, present = (self._seated(values, wheel) for values in (joints, inside, visible, present))
+            spreads = spreads if spreads is None else self._seated(spreads, wheel)
         uvz, view = joints.double(), self._view.camera
         xy = torch.stack(((uvz[..., 0] - view.cx) / view.fx, (uvz[..., 1] - view.cy) / view.fy), dim=-1)
         points = torch.cat((xy * uvz[..., 2:], uvz[..., 2:]), dim=-1)
         pixels = _distorted(xy, camera_dist) * _focal(camera_k) + _centre(camera_k)
         presence = torch.sigmoid(present.double())[..., None] * torch.sigmoid(inside.double())
         score = presence * torch.sigmoid(visible.double())
-        return (self._told @ points).float(), (self._told @ pixels).float(), presence.float(), score.float()
+        expected = self._expected(score, spreads)
+        return (
+            _without(unseen, self._told @ points, torch.nan), _without(unseen, self._told @ pixels, torch.nan),
+            _without(unseen, presence, 0.0), _without(unseen, score, 0.0), _without(unseen, expected, torch.nan),
+        )  # fmt: skip
 
     def _seated(self, values: Tensor, wheel: Tensor | None) -> Tensor:
         """Values (N, P, ...) with the front row exchanged where the wheel is on the right; without `wheel` everywhere."""
@@ -96,6 +114,46 @@ class _Back(nn.Module):
         if wheel is None:
             return exchanged
         return torch.where((wheel < RIGHT_BELOW).reshape(-1, *[1] * (values.ndim - 1)), exchanged, values)
+
+
+class _Expected(nn.Module):
+    """`expected_errors` of a model: the table of each joint, filled up with steps of no width."""
+
+    def __init__(self, model: OnnxModel) -> None:
+        super().__init__()
+        tables = [model.expected_error.get(name) for name in model.joints]
+        cues = max([1, *(len(table["weights"]) for table in tables if table)])
+        steps = max([2, *(len(table["doubt"]) for table in tables if table)])
+        weights, doubt, error_m = (
+            np.zeros((len(tables), cues)),
+            np.zeros((len(tables), steps)),
+            np.full((len(tables), steps), np.nan),
+        )
+        for j, table in enumerate(tables):
+            if table:
+                weights[j] = table["weights"]
+                for array, values in ((doubt, table["doubt"]), (error_m, table["error_m"])):
+                    array[j] = np.pad(np.asarray(values, np.float64), (0, steps - len(values)), mode="edge")
+        width = np.diff(doubt)
+        slope = np.divide(np.diff(error_m), width, out=np.zeros_like(width), where=width > 0)
+        self._weights, self._from, self._width, self._slope, self._least = map(
+            torch.from_numpy, (weights, doubt[:, :-1].copy(), width, slope, error_m[:, 0].copy())
+        )
+
+    def forward(self, score: Tensor, spreads: Tensor | None) -> Tensor:
+        """(N, P, J) m, of scores (N, P, J) and spreads (N, P, J, C) of a network that answers with them."""
+        cues = -score[..., None]
+        if spreads is not None:
+            sure = score.clamp(SCORE_MARGIN, 1 - SCORE_MARGIN)
+            doubt = torch.log(1 - sure) - torch.log(sure)
+            cues = torch.cat((doubt[..., None], torch.log(spreads.double().clamp(min=LEAST_SPREAD_M))), dim=-1)
+        beyond = (cues * self._weights).sum(-1)[..., None] - self._from  # (N, P, J, steps)
+        return self._least + (self._slope * torch.minimum(beyond.clamp(min=0.0), self._width)).sum(-1)
+
+
+def _without(unseen: Tensor, values: Tensor, none: float) -> Tensor:
+    """Values (N, ...) as float32, `none` in the frames (N,) in which nobody can be seen."""
+    return torch.where(unseen.reshape(-1, *[1] * (values.ndim - 1)), none, values.float())
 
 
 def _last(size: Any) -> Tensor:
@@ -151,7 +209,7 @@ def write_whole_graph(model: OnnxModel, out: Path, unit: DepthUnit) -> float:
     Returns
     -------
     float
-        The greatest difference in m between the graph's joints and the predictor's on frames of two cameras.
+        The greatest difference in m between the graph's joints and expected errors and the predictor's on frames of two cameras.
 
     Raises
     ------
@@ -199,17 +257,19 @@ def _joined_graph(model: OnnxModel, network: onnx.ModelProto, unit: DepthUnit) -
     people, count = len(model.persons), len(model.joints)
     of_joints = torch.ones(2, people, count)
     answers = {"joints": torch.ones(2, people, count, 3), "inside": of_joints, "visible": of_joints, "present": of_joints[..., 0]}
-    if "wheel" in model.answers and not model.drive_side:
-        answers["wheel"] = torch.ones(2)
+    last, ways = _Back(model), max([2, *(len(table["weights"]) for table in model.expected_error.values())]) - 1
+    more = {"spreads": torch.ones(2, people, count, ways), "wheel": torch.ones(2)}
+    answers |= {name: more[name] for name in last.more}
     sides = {0: "frames", 1: "height", 2: "width"}
     with TemporaryDirectory() as folder:
         into = _traced(
             _Into(config, unit), Path(folder) / "into.onnx", {"camera_k": k, "camera_dist": dist} | dict.fromkeys(images, image),
-            [f"seen_{name}" for name in images], dict.fromkeys(images, sides),
+            [*(f"seen_{name}" for name in images), "unseen"], dict.fromkeys(images, sides),
         )  # fmt: skip
         back = _traced(
-            _Back(model), Path(folder) / "back.onnx", {"back_k": k, "back_dist": dist} | answers,
-            list(OUTPUTS), {name: {0: "frames"} for name in answers},
+            last, Path(folder) / "back.onnx",
+            {"back_k": k, "back_dist": dist, "unseen": torch.zeros(2, dtype=torch.bool)} | answers,
+            list(OUTPUTS), {name: {0: "frames"} for name in ("unseen", *answers)},
         )  # fmt: skip
     if unit == "mm":
         for entry in into.graph.input:
@@ -224,8 +284,9 @@ def _joined_graph(model: OnnxModel, network: onnx.ModelProto, unit: DepthUnit) -
     fed = [(f"seen_{name}", f"network/{name}") for name in images]
     first = compose.merge_models(into, network, io_map=fed)
     whole = compose.merge_models(
-        first, back, io_map=[(f"network/{name}", f"back/{name}") for name in answers], outputs=list(OUTPUTS)
-    )
+        first, back, io_map=[("unseen", "back/unseen"), *((f"network/{name}", f"back/{name}") for name in answers)],
+        outputs=list(OUTPUTS),
+    )  # fmt: skip
     for node in whole.graph.node:  # the camera is given once
         node.input[:] = [{"back/back_k": "camera_k", "back/back_dist": "camera_dist"}.get(name, name) for name in node.input]
     kept = [entry for entry in whole.graph.input if not entry.name.startswith("back/")]
@@ -273,6 +334,9 @@ def _difference(model: OnnxModel, path: Path, unit: DepthUnit) -> float:
         given = {"camera_k": camera.k, "camera_dist": np.array(camera.dist)} | {
             name: images[name] for name in model.config.inputs
         }
-        joints = session.run(["joints_3d"], given)[0]
-        greatest = float(np.maximum(greatest, np.linalg.norm(joints - poses.joints_3d, axis=-1).max()))  # NaN stays
+        joints, expected = session.run(["joints_3d", "expected_error"], given)
+        apart = np.linalg.norm(joints - poses.joints_3d, axis=-1)
+        known = ~np.isnan(poses.expected_error_m)
+        apart[known] = np.maximum(apart[known], np.abs(expected - poses.expected_error_m)[known])
+        greatest = float(np.maximum(greatest, apart.max()))  # NaN stays
     return greatest

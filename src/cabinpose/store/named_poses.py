@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -55,6 +54,8 @@ class NamedPoses(PoseBatch):
 
     def _repr_html_(self) -> str:
         """The same as a table, in notebooks."""
+        from html import escape  # noqa: PLC0415 - half a megabyte, for notebooks alone
+
         rows = "".join(f"<tr><th>{escape(who.person)}</th><td>{escape(self._words(who))}</td></tr>" for who in self._people())
         told = "".join(f"<p>nobody can be seen in {n}: {escape(why)}</p>" for why, n in self.unseen.items())
         return f"<b>{escape(self.model)}</b>: {escape(', '.join(self._facts()))}<table>{rows}</table>{told}"

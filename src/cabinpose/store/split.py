@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import DatasetError, read_yaml, unknown_name
+from cabinpose.core import DatasetError, unknown_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -147,6 +147,8 @@ def read_splits(path: Path | str, names: Sequence[str] | None = None) -> dict[st
     ConfigError
         For a name that is not there.
     """
+    from cabinpose.core import read_yaml  # noqa: PLC0415 - a model that runs imports this module, and needs no YAML
+
     splits = parse_splits(read_yaml(Path(path), hint="give a YAML file of splits", error=DatasetError), path)
     for name in names or ():
         if name not in splits:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from cabinpose.app.live.feed import Feed, FeedStatus, LiveFrame
+from cabinpose.app.models import seat_predictors
 from cabinpose.core import CabinposeError, PoseBatch, Predictor, images_of, joined, require_images, skeleton_of, without_numbers
-from cabinpose.estimate import Smoother, cameras_of
+from cabinpose.estimate import Smoother, WheelOverTime, cameras_of
 from cabinpose.store import Predictions, empty_batch
 
 _MOST_CAUSES = 20  # of failures that are told apart
@@ -121,11 +122,22 @@ class Live:
         self._answers = {model.name: _Answers() for model in self.models}
         self._latency_ms, self._ended_s = array("d"), array("d")
         self._smoothers, self._waiting = tuple(smoothers), deque[_Answered]()
+        self._before: tuple[int, int] | None = None  # sequence and time of the last frame
         self.frames = 0
         """Frames looked at so far."""
 
     def run(self, go_on: Callable[[], bool] = lambda: True) -> Iterator[tuple[LiveFrame, tuple[Found, ...]]]:
-        """Each frame with what each detector found in it, until the feed ends or `go_on` says no."""
+        """Each frame with what each detector found in it, until the feed ends or `go_on` says no.
+
+        Where nothing says on which side the wheel is, detectors see it over the frames of a sequence, since it stays there.
+        """
+        try:
+            yield from self._run(go_on)
+        finally:
+            for model in seat_predictors(self.models):
+                model.wheel_over_time = None
+
+    def _run(self, go_on: Callable[[], bool]) -> Iterator[_Answered]:
         for frame in self.feed.frames():
             if frame is not None:
                 found = self._look(frame)
@@ -167,6 +179,11 @@ class Live:
         if "cloud" in self.feed.wanted and "cloud" not in batch:
             batch["cloud"] = cameras_of(batch, slice(0, 1))[0].points(batch["depth"]).astype(np.float32)
         self.frames += 1
+        follows = self._before is not None and self._before[0] == frame.sequence and self._before[1] < frame.taken_ns
+        self._before = frame.sequence, frame.taken_ns
+        if not follows:  # another car, as in frames of no sequence
+            for model in seat_predictors(self.models):
+                model.wheel_over_time = WheelOverTime()
         return tuple(self._ask(model, frame) for model in self.models)
 
     def _ask(self, model: Predictor, frame: LiveFrame) -> Found:
