@@ -15,6 +15,8 @@ WORKERS ?= 2
 DEMO := demo
 WERROR ?= OFF
 NATIVE := $(shell find src/native -name '*.cpp' -o -name '*.hpp')
+# Where the environment forbids bytecode, every worker would compile the tests and rewrite their assertions anew: 12 CPU-s of each.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help demo test test-slow test-faults test-all test-native coverage lint format bench docs wheels cibuildwheel lock clean
 
