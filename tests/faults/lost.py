@@ -21,7 +21,9 @@ import outputs
 from outputs import KILL, NOTHING, Command, preloaded, start, tell
 
 COMMANDS: Mapping[str, Command] = {  # of a size at which the work is more than the start
-    "synth": Command("synth scene.cars=[sedan] --frames 200 --workers 1 --out {out}/d", "d", "--resume"),
+    "synth": Command(
+        "synth scene.cars=[sedan] output.frames_per_part=25 --frames 100 --workers 1 --out {out}/d", "d", "--resume"
+    ),
     "train": Command(
         "train {inputs}/other --splits {inputs}/splits.yaml --config {inputs}/long.yaml --devices 1 --out {out}/t",
         "t", "--resume",
@@ -58,7 +60,7 @@ def lost_work(command: Command, inputs: Path, work: Path) -> tuple[float, float]
 
     fresh()
     whole, calls, costs = run(), outputs.SHIM.count.value, []
-    for at in (calls // 2, calls - 9, calls - 5):
+    for at in (calls // 2, calls - 5):
         fresh()
         spent = run(fault=KILL, at=at)
         if place.exists() and command.again is None:
@@ -94,7 +96,7 @@ def lost_labels(work: Path) -> tuple[int, int]:
     return answered, lost
 
 
-def lost_samples(work: Path, kills: int = 8) -> tuple[float, float]:
+def lost_samples(work: Path, kills: int = 4) -> tuple[float, float]:
     """Seconds of a recording before it was killed at most, and the most of these that `recover` does not bring back."""
     from test_crash import check_killed
 
@@ -128,7 +130,7 @@ def main() -> int:
         work.mkdir()
         tell("", "of", "lost")
         for name, command in COMMANDS.items():
-            share = {"synth": 1 / 2, "train": 1 / 4}.get(name, 1.0)  # a part, an epoch; then a second start, and a busy machine
+            share = {"synth": 1 / 4, "train": 1 / 4}.get(name, 1.0)  # a part, an epoch; then a second start, and a busy machine
             row(name, lambda c=command: lost_work(c, inputs, work), "s", lambda whole, s=share: 1.5 * s * whole + 1.5)  # type: ignore[misc]
         row("record", lambda: lost_samples(work), "s", lambda _: 5.25)  # queue_s and flush_s of a rig that does not set them
         row("labels", lambda: lost_labels(work), "changes", lambda _: 0)
