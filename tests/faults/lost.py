@@ -32,9 +32,9 @@ COMMANDS: Mapping[str, Command] = {  # of a size at which the work is more than 
     "export": Command("export coco {inputs}/other --out {out}/e", "e"),
     "predict": Command("predict {inputs}/other --model {inputs}/m.onnx --out {out}/p.jsonl", "p.jsonl"),
 }  # fmt: skip
-BRIEF = {  # four parts in place of two
+BRIEF = {  # three parts in place of two longer ones
     "synth": Command(
-        "synth scene.cars=[sedan] output.frames_per_part=25 --frames 100 --workers 1 --out {out}/d", "d", "--resume"
+        "synth scene.cars=[sedan] output.frames_per_part=40 --frames 120 --workers 1 --out {out}/d", "d", "--resume"
     ),
 }
 LABELS = 20
@@ -138,7 +138,7 @@ def main() -> int:
         tell("", "of", "lost")
         for name, command in commands.items():
             # Of parts or epochs one is lost; then there is a second start, and a busy machine.
-            steps = {"synth": 4 if brief else 2, "train": 4}.get(name, 1)
+            steps = {"synth": 3 if brief else 2, "train": 4}.get(name, 1)
             row(name, lambda c=command: lost_work(c, inputs, work, brief), "s", lambda whole, n=steps: 1.5 * whole / n + 1.5)  # type: ignore[misc]
         # 5.25 s: queue_s and flush_s of a rig that does not set them
         row("record", lambda: lost_samples(work, 4 if brief else 8), "s", lambda _: 5.25)
