@@ -15,6 +15,13 @@ WORKERS ?= 2
 DEMO := demo
 WERROR ?= OFF
 NATIVE := $(shell find src/native -name '*.cpp' -o -name '*.hpp')
+# Temporary files of tests are in memory where 8 GB are free there and programs run: what a command writes is flushed to the disk file
+# by file, for which tests would wait. `make test SCRATCH=/tmp` is on the disk.
+SCRATCH ?= $(shell free=$$(df --output=avail -k /dev/shm 2>/dev/null | tail -1); \
+  [ "$${free:-0}" -gt 8000000 ] && [ -w /dev/shm ] && ! grep -qE '^[^ ]+ /dev/shm [^ ]+ [^ ]*noexec' /proc/mounts && echo /dev/shm || echo "$${TMPDIR:-/tmp}")
+PYTEST = TMPDIR=$(SCRATCH) $(BIN)/pytest -q -n $(WORKERS)
+# Where the environment forbids bytecode, every worker would compile the tests and rewrite their assertions anew: 12 CPU-s of each.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help demo test test-slow test-faults test-all test-native coverage lint format bench docs wheels cibuildwheel lock clean
 
@@ -35,18 +42,18 @@ demo: $(VENV)/.base  ## install, generate 1000 frames and look at them; then tra
 	@echo "open $(DEMO)/view/index.html and $(DEMO)/report/index.html"
 
 test: $(VENV)/.dev  ## the tests but for the slow ones; CABINPOSE_REAL_DATA names the folder of real recordings
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m "not slow"
+	$(PYTEST) --dist loadfile -m "not slow"
 
 test-slow: $(VENV)/.dev  ## the slow tests alone
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m slow
+	$(PYTEST) --dist loadfile --no-loadscope-reorder -m slow
 
 test-faults: $(VENV)/.dev  ## kills, full disks and hostile files alone, which are part of the slow tests
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m faults
+	$(PYTEST) --dist loadfile --no-loadscope-reorder -m faults
 
 test-all: test test-slow  ## all tests
 
 coverage: $(VENV)/.dev  ## the lines that no quick test reaches
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m "not slow" --cov --cov-report=term
+	$(PYTEST) --dist loadfile -m "not slow" --cov --cov-report=term
 
 test-native: $(VENV)/.dev  ## the kernels' tests with the kernels built under the address and undefined-behaviour sanitizers
 	tools/test_native.sh $(BIN)

@@ -2,6 +2,7 @@
 
     python tests/faults/lost.py             # all
     python tests/faults/lost.py synth train
+    python tests/faults/lost.py --brief     # fewer kills, and smaller parts
 
 prints a table. A command is killed at some of its calls and run again: what both runs take beyond one that is left alone is lost.
 Seconds are of processor time, which what else the machine does hardly changes; of recordings they are of the samples' clock.
@@ -31,6 +32,11 @@ COMMANDS: Mapping[str, Command] = {  # of a size at which the work is more than 
     "export": Command("export coco {inputs}/other --out {out}/e", "e"),
     "predict": Command("predict {inputs}/other --model {inputs}/m.onnx --out {out}/p.jsonl", "p.jsonl"),
 }  # fmt: skip
+BRIEF = {  # three parts in place of two longer ones
+    "synth": Command(
+        "synth scene.cars=[sedan] output.frames_per_part=40 --frames 120 --workers 1 --out {out}/d", "d", "--resume"
+    ),
+}
 LABELS = 20
 
 
@@ -44,7 +50,7 @@ def seconds(words: str, under: Path, fault: int = NOTHING, at: int = 0) -> float
     return used.ru_utime + used.ru_stime
 
 
-def lost_work(command: Command, inputs: Path, work: Path) -> tuple[float, float]:
+def lost_work(command: Command, inputs: Path, work: Path, brief: bool) -> tuple[float, float]:
     """Seconds of a run, and the most that a kill has cost."""
     out = work / "out"
     words, place = command.words.format(inputs=inputs, out=out), out / command.out
@@ -58,7 +64,7 @@ def lost_work(command: Command, inputs: Path, work: Path) -> tuple[float, float]
 
     fresh()
     whole, calls, costs = run(), outputs.SHIM.count.value, []
-    for at in (calls // 2, calls - 9, calls - 5):
+    for at in (calls // 2, *(() if brief else (calls - 9,)), calls - 5):
         fresh()
         spent = run(fault=KILL, at=at)
         if place.exists() and command.again is None:
@@ -94,7 +100,7 @@ def lost_labels(work: Path) -> tuple[int, int]:
     return answered, lost
 
 
-def lost_samples(work: Path, kills: int = 8) -> tuple[float, float]:
+def lost_samples(work: Path, kills: int) -> tuple[float, float]:
     """Seconds of a recording before it was killed at most, and the most of these that `recover` does not bring back."""
     from test_crash import check_killed
 
@@ -111,11 +117,14 @@ def main() -> int:
     """Measure, and print a table; 1 where more is lost than is promised."""
     outputs.SHIM = outputs.Shim()
     outputs.load_all()
+    brief = "--brief" in sys.argv
+    names = [word for word in sys.argv[1:] if word != "--brief"]
+    commands = COMMANDS | (BRIEF if brief else {})
     failed = False
 
     def row(name: str, measure: Callable[[], tuple[float, float]], unit: str, allowed: Callable[[float], float]) -> None:
         nonlocal failed
-        if sys.argv[1:] and name not in sys.argv[1:]:
+        if names and name not in names:
             return
         whole, lost = measure()
         tell(name, f"{whole:.3g} {unit}", f"{lost:.2g} {unit}")
@@ -127,10 +136,12 @@ def main() -> int:
         (inputs / "long.yaml").write_text((inputs / "run.yaml").read_text().replace("epochs: 2", "epochs: 4"))
         work.mkdir()
         tell("", "of", "lost")
-        for name, command in COMMANDS.items():
-            share = {"synth": 1 / 2, "train": 1 / 4}.get(name, 1.0)  # a part, an epoch; then a second start, and a busy machine
-            row(name, lambda c=command: lost_work(c, inputs, work), "s", lambda whole, s=share: 1.5 * s * whole + 1.5)  # type: ignore[misc]
-        row("record", lambda: lost_samples(work), "s", lambda _: 5.25)  # queue_s and flush_s of a rig that does not set them
+        for name, command in commands.items():
+            # Of parts or epochs one is lost; then there is a second start, and a busy machine.
+            steps = {"synth": 3 if brief else 2, "train": 4}.get(name, 1)
+            row(name, lambda c=command: lost_work(c, inputs, work, brief), "s", lambda whole, n=steps: 1.5 * whole / n + 1.5)  # type: ignore[misc]
+        # 5.25 s: queue_s and flush_s of a rig that does not set them
+        row("record", lambda: lost_samples(work, 4 if brief else 8), "s", lambda _: 5.25)
         row("labels", lambda: lost_labels(work), "changes", lambda _: 0)
     return int(failed)
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import importlib
+import io
 import json
 import mmap
 import os
@@ -27,8 +28,8 @@ import time
 import traceback
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -44,6 +45,7 @@ FAULTS = {"kill": KILL, "full disk": FULL, "read-only": READ_ONLY, "Ctrl-C": INT
 CODES = {KILL: -signal.SIGKILL, FULL: 2, READ_ONLY: 2, INT: 130, TERM: 143, NO_LOCKS: 0}
 EVER = {READ_ONLY: (1,), NO_LOCKS: (1, 2)}  # of faults that are there from the start: their kinds, in place of calls
 LIMIT_S = 300
+SERVE = "--serve"
 Tree = dict[str, bytes]
 
 
@@ -101,7 +103,7 @@ COMMANDS: Mapping[str, Command] = {
     "record": Command("record --config {inputs}/rig.yaml --out {out}/r.mcap", "r.mcap", None, grows=True),
     "recover": Command("recover {inputs}/cut.mcap --out {out}/r.mcap", "r.mcap", None),
     "lab": Command(
-        "lab --views 6 --frames-per-view 1 --pendulum-s 6 --seconds 1.5 --no-exercises --out {out}/s", "s", None, whole=False,
+        "lab --views 6 --frames-per-view 1 --pendulum-s 5.1 --seconds 1.1 --no-exercises --out {out}/s", "s", None, whole=False,
         varies=("",),
     ),
     "calibrate": Command("calibrate {inputs}/session/session.yaml --out {out}/c.yaml", "c.yaml", varies=("",)),
@@ -111,6 +113,13 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "align": Command("align {inputs}/session/drive-S01.mcap --calibration {inputs}/c.yaml --out {out}/d", "d"),
 }  # fmt: skip
+WARM = ("synth", "car-check", "calibrate")  # seconds each, and no threads that a fork would lack
+ONCE = {  # what they do before they write, by its module
+    "cabinpose.app.car_check": "check_car",
+    "cabinpose.app.view.car": "draw_car",
+    "cabinpose.synth": "FrameMaker",  # of the frame in the car's picture
+    "cabinpose.align": "calibrate",
+}
 SHARED = (  # commands that write to places of one kind
     ("synth", "import-coco", "import-itop", "export-coco", "align"),
     ("import-bvh", "recover"),
@@ -400,13 +409,21 @@ def beside(first: Trial, second: Command) -> Iterator[str]:
         yield "the first: another outcome"
 
 
-def tried(name: str, trial: Trial, most: int, faults: Sequence[str]) -> dict[str, tuple[int, Counter[str]]]:
+def _stood_for(fault: int, at: int, old: bool) -> bool:
+    """Whether another kind on the same way through the code stands for this one: the two signals, the two refusals of locks."""
+    return (fault in (INT, TERM) and (fault == TERM) != old) or (fault == NO_LOCKS and (at == 2) != old)
+
+
+def tried(name: str, trial: Trial, most: int, faults: Sequence[str], halves: bool) -> dict[str, tuple[int, Counter[str]]]:
     """For each fault the number of runs, and the problems that were found with how often."""
     result = {}
+    ways = (False,) if trial.command.again is None else (False, True)
     for label in faults:
         fault, problems, runs = FAULTS[label], Counter[str](), 0
-        for old in (False,) if trial.command.again is None else (False, True):
+        for old in ways:
             for at in EVER.get(fault) or chosen(trial.calls + 2 * old, most):
+                if halves and len(ways) == 2 and _stood_for(fault, at, old):
+                    continue
                 runs += 1
                 for problem in trial.problems(fault, at, old=old):
                     problems[problem] += 1
@@ -423,30 +440,57 @@ def load_all() -> None:
                 importlib.import_module(module.name)
 
 
+def once(module: str, name: str) -> None:
+    """Have a function that writes nothing keep what it gives, for the children of this process as well."""
+    home, kept = importlib.import_module(module), dict[str, Any]()
+    function = getattr(home, name)
+
+    def keeping(*words: Any, **more: Any) -> Any:
+        key = repr((words, more))
+        if key not in kept:
+            kept[key] = function(*words, **more)
+        return kept[key]
+
+    setattr(home, name, keeping)
+
+
+def warm_up(names: Sequence[str], inputs: Path) -> None:
+    """Run commands in this process, whose caches its children have then: what comes before the writing takes seconds of each."""
+    from cabinpose.app.cli import main
+
+    for command in (COMMANDS[name] for name in WARM if name in names):
+        with TemporaryDirectory() as folder, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
+            if main(shlex.split(command.words.format(inputs=inputs, out=folder))):
+                raise SystemExit(f"{command.words}: {said.getvalue()}")
+
+
 def tell(*cells: str) -> None:
     """Print a row of the table."""
     sys.stdout.write(f"| {' | '.join(cells)} |\n")
     sys.stdout.flush()
 
 
-def main() -> int:
+def main(words: Sequence[str]) -> int:
     """Try commands, and print a table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*")
     parser.add_argument("--most", type=int, default=1000)
     parser.add_argument("--faults", nargs="*", choices=list(FAULTS), default=list(FAULTS))
+    parser.add_argument(
+        "--halves",
+        action="store_true",
+        help="Ctrl-C and one refusal of locks for new outputs, SIGTERM and the other for old ones",
+    )
     parser.add_argument("--inputs", type=Path, help="a folder of inputs that an earlier run made, or is to make")
     parser.add_argument("--on", type=Path, help="a folder of another file system, to make the outputs in")
-    given = parser.parse_args()
+    given = parser.parse_args(words)
     names = given.commands or list(COMMANDS)
-    global SHIM
-    SHIM = Shim()
-    load_all()
     failed = False
     with TemporaryDirectory() as temporary, TemporaryDirectory(dir=given.on) as work:
         inputs = given.inputs or Path(temporary) / "inputs"
         if not inputs.exists():
             make_inputs(inputs, session=bool({"calibrate", "align"} & set(names)))
+        warm_up(names, inputs)
         tell("command", "calls", *given.faults, "s")
         for name in names:
             began = time.monotonic()
@@ -456,7 +500,7 @@ def main() -> int:
                 failed = True
                 sys.stderr.write(f"{error}\n")
                 continue
-            found = tried(name, trial, given.most, given.faults)
+            found = tried(name, trial, given.most, given.faults, given.halves)
             cells = (f"{runs}: " + (", ".join(f"{p} {n}" for p, n in bad.items()) or "held") for runs, bad in found.values())
             tell(name, str(trial.calls), *cells, f"{time.monotonic() - began:.0f}")
             failed |= any(bad for _, bad in found.values())
@@ -468,15 +512,68 @@ def main() -> int:
     return int(failed)
 
 
-def preloaded(words: Sequence[str], *, captured: bool = True, script: str = __file__) -> subprocess.CompletedProcess[str]:
-    """Run this module, or another one of this folder, with the shim, which is built first."""
+@contextmanager
+def shimmed() -> Iterator[dict[str, str]]:
+    """The environment of a process that has the shim, which is built first, beneath it."""
     with TemporaryDirectory() as folder:
         library = Path(folder) / "shim.so"
         subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(HERE / "shim.c"), "-ldl"], check=True)
-        environment = os.environ | {"LD_PRELOAD": str(library), "CABINPOSE_SHIM": "1", "OMP_NUM_THREADS": "1"}
-        start = [sys.executable, script, *words]
-        return subprocess.run(start, env=environment, check=False, text=True, capture_output=captured)
+        yield os.environ | {"LD_PRELOAD": str(library), "CABINPOSE_SHIM": "1", "OMP_NUM_THREADS": "1"}
+
+
+def preloaded(words: Sequence[str], *, captured: bool = True, script: str = __file__) -> subprocess.CompletedProcess[str]:
+    """Run this module, or another one of this folder, with the shim."""
+    with shimmed() as environment:
+        return subprocess.run([sys.executable, script, *words], env=environment, check=False, text=True, capture_output=captured)
+
+
+@contextmanager
+def serving() -> Iterator[Callable[..., tuple[bool, str]]]:
+    """`tried("--most", "2", "view")`: whether all held, and what was said, by one process that has loaded everything."""
+    with shimmed() as environment:
+        words = [sys.executable, __file__, SERVE]
+        with subprocess.Popen(
+            words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as process:
+            asked, told = process.stdin, process.stdout
+            assert asked is not None
+            assert told is not None
+
+            def tried(*words: str) -> tuple[bool, str]:
+                asked.write(f"{shlex.join(words)}\n")
+                asked.flush()
+                said = ""
+                for line in told:
+                    if line.startswith(SERVE):
+                        return line == f"{SERVE} 0\n", said
+                    said += line
+                return False, said
+
+            try:
+                yield tried
+            finally:
+                process.kill()
+
+
+def run_here() -> int:
+    """Try what the command line says, or what comes on standard input, line by line."""
+    global SHIM
+    SHIM = Shim()
+    load_all()
+    for module, name in ONCE.items():
+        once(module, name)
+    if sys.argv[1:] != [SERVE]:
+        return main(sys.argv[1:])
+    for line in sys.stdin:
+        try:
+            code = main(shlex.split(line))
+        except Exception:  # noqa: BLE001 - one request's, as an interpreter of its own would tell it
+            traceback.print_exc()
+            code = 1
+        sys.stdout.write(f"{SERVE} {code}\n")
+        sys.stdout.flush()
+    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main() if "CABINPOSE_SHIM" in os.environ else preloaded(sys.argv[1:], captured=False).returncode)
+    sys.exit(run_here() if "CABINPOSE_SHIM" in os.environ else preloaded(sys.argv[1:], captured=False).returncode)

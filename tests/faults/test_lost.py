@@ -10,5 +10,5 @@ import pytest
 @pytest.mark.slow
 @pytest.mark.faults
 def test_a_kill_costs_no_more_than_docs_say() -> None:
-    done = outputs.preloaded([], script=lost.__file__)
+    done = outputs.preloaded(["--brief"], script=lost.__file__)
     assert done.returncode == 0, done.stdout + done.stderr
