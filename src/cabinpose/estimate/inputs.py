@@ -63,7 +63,7 @@ class InputView:
         for top in range(0, source.height, _STRIP):  # of a whole image the arrays would stay with the process
             v = np.arange(top, min(top + _STRIP, source.height), dtype=np.float64)
             strip = source.undistort(np.stack(np.meshgrid((u - source.cx) / source.fx, (v - source.cy) / source.fy), axis=-1))
-            seen += np.count_nonzero(self.camera.contains(strip * self.focal + (self.camera.cx, self.camera.cy)))
+            seen += int(np.count_nonzero(self.camera.contains(strip * self.focal + (self.camera.cx, self.camera.cy))))
         return seen / (source.width * source.height)
 
     def doubts(self, source: Camera) -> tuple[str, ...]:

@@ -90,7 +90,9 @@ def _count(which: Tensor) -> Tensor:
 
 def _solved(a: Tensor, b: Tensor) -> Tensor:
     """(N, 6) the solution of symmetric, positive definite systems (N, 6, 6), after Cholesky: ONNX has no operator that solves."""
-    count, lower, x = len(_TERMS), {}, {}
+    count = len(_TERMS)
+    lower: dict[tuple[int, int], Tensor] = {}
+    x: dict[int, Tensor] = {}
     for j in range(count):
         for i in range(j, count):
             rest = a[:, i, j] + (_RIDGE if i == j else 0.0) - sum(lower[i, k] * lower[j, k] for k in range(j))

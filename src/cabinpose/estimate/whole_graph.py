@@ -78,7 +78,7 @@ class _Back(nn.Module):
         super().__init__()
         self._view, count = model.config.view, len(model.joints)
         self._drive_side = model.drive_side if "wheel" in model.answers else ""
-        self.more = ("spreads",) if "spreads" in model.answers and model.expected_error else ()
+        self.more: tuple[str, ...] = ("spreads",) if "spreads" in model.answers and model.expected_error else ()
         self.more += ("wheel",) if "wheel" in model.answers and not model.drive_side else ()
         self._exchanged = front_exchanged(model.persons)
         # Weights by which joints of one definition are told as another's: what they make of each joint alone.

@@ -53,7 +53,7 @@ def with_drive_side(dataset: xr.Dataset) -> xr.Dataset:
     if "drive_side" in dataset or "vehicle_from_camera" not in dataset or CABINPOSE.joints != tuple(dataset["joint"].values):
         return dataset
     hips = dataset["joints_3d"].sel(joint=["lpelvis", "rpelvis"]).values
-    sides = wheel_sides(hips, dataset["vehicle_from_camera"].values, dataset["person"].values)
+    sides = wheel_sides(hips, dataset["vehicle_from_camera"].values, dataset["person"].values.tolist())
     return dataset.assign_coords(drive_side=("frame", np.array(SIDE_NAMES)[sides]))
 
 
