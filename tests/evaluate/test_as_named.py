@@ -74,7 +74,7 @@ def test_from_the_command_line(
     found = json.loads(capsys.readouterr().out)
     assert found["joints"] == ["neck", "lelbow"]
     for words, said, hint in (
-        (("--places", "drivr=driver"), "unknown place 'drivr'", "driver"),
+        (("--places", "drivers=driver"), "unknown place 'drivers'", "driver"),
         (("--places", "driver"), "--places: 'driver' names nothing", "standing=driver"),
         (("--joints", "head=neck", "neck=neck"), "two joints are named neck", "a name of its own"),
         (("--joints", "itop"), "unknown set of joints in the dataset 'itop'", "cabinpose"),
