@@ -95,7 +95,7 @@ FIGURES: Mapping[str, tuple[str, str, str, float | None]] = {
     "median 3D, cm": ("median error", "3d", "All", None),
     EXCHANGED: ("people found in another's place", "image", PEOPLE, None),
 }
-DECIDES = ("AUC 2D", "within 10 cm", "IoU")  # the first of them that a model has: a model without 2D answers has the second
+DECIDES = ("AUC 2D", "within 10 cm", "mean IoU")  # the first of them that a model has: a model without 2D answers has the second
 
 
 class _Table(BaseModel):
@@ -439,7 +439,11 @@ def _figures(dataset: Any, path: Path, row: Row) -> dict[str, float]:
     dataset = with_drive_side(dataset)
     (model,) = opened_models([str(path)], dataset)
     if isinstance(model, Segmenter):
-        return {"IoU": evaluate_parts(dataset, model, resamples=0).value("IoU"), "frames": float(dataset.sizes["frame"])}
+        parts = evaluate_parts(dataset, model, resamples=0)
+        return {
+            "mean IoU": parts.value("mean IoU"), "IoU of people": parts.value("IoU", "people"),
+            "frames": float(dataset.sizes["frame"]),
+        }  # fmt: skip
     found = model if isinstance(model, Predictions) else predict_dataset(dataset, model)
     persons = row.persons or tuple(p for p in found.persons if p in dataset["person"].values)
     columns = [found.persons.index(name) for name in persons]
