@@ -86,6 +86,15 @@ def test_nobody_is_found_in_blind_frames(kind: str) -> None:
     assert (found.presence[blind] == 0).all()
 
 
+def opened(folder: Path) -> xr.Dataset:
+    """Eight frames of people who are called after the folder."""
+    data = small.dataset(8).assign_coords({name: ("frame", np.zeros(8, np.int64)) for name in ("sequence", "sync_ns")})
+    data = data.assign_attrs(width=small.SIZE[0], height=small.SIZE[1])
+    data["vehicle_from_camera"] = (("frame", "row", "column"), np.tile(np.eye(4), (8, 1, 1)))
+    others = np.where(data["subject"].values == "", "", np.char.add(folder.name, data["subject"].values.astype(str)))
+    return data.assign_coords(subject=(("frame", "person"), others))
+
+
 @pytest.fixture
 def tiny(tmp_path: Path, checkpoints: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> Campaign:
     """A campaign of two rounds over frames of sphere people in memory."""
@@ -110,13 +119,6 @@ def tiny(tmp_path: Path, checkpoints: dict[str, Path], monkeypatch: pytest.Monke
     for name, data in files.items():
         (recipes / name).write_text(yaml.safe_dump(json.loads(json.dumps(data)), sort_keys=False), "utf-8")
     export_onnx(checkpoints["compact"], package / "tiny.onnx", name="tiny", card=card)
-
-    def opened(folder: Path) -> xr.Dataset:
-        data = small.dataset(8).assign_coords({name: ("frame", np.zeros(8, np.int64)) for name in ("sequence", "sync_ns")})
-        data = data.assign_attrs(width=small.SIZE[0], height=small.SIZE[1])
-        data["vehicle_from_camera"] = (("frame", "row", "column"), np.tile(np.eye(4), (8, 1, 1)))
-        others = np.where(data["subject"].values == "", "", np.char.add(folder.name, data["subject"].values.astype(str)))
-        return data.assign_coords(subject=(("frame", "person"), others))
 
     monkeypatch.setattr(campaign, "open_dataset", opened)
     monkeypatch.setattr(Campaign, "made", lambda _self, name, *_: Path(name))
@@ -167,6 +169,12 @@ def test_better_weights_alone_are_shipped_with_their_card(tiny: Campaign) -> Non
     shipped = packaged.read_bytes()
     assert not tiny.ship()  # the same weights are no better
     assert packaged.read_bytes() == shipped
+
+
+@pytest.mark.parametrize("model", ["lift", "parts"])
+def test_models_that_answer_otherwise_have_a_figure_that_decides(model: str) -> None:
+    figures = campaign._figures(opened(Path("some")), packaged_models()[model], ROWS["everyone"])
+    assert campaign.DECIDES[1 if model == "lift" else 2] in figures
 
 
 @pytest.mark.slow
