@@ -67,11 +67,10 @@ OF_CARDS = [
     ("room_top", r"it never saw: ([\d.]+) % of the joints in the image within 10 cm, median ([\d.]+) cm; hands (\d+) %"),
     ("room_top", r"frames from above \*\*([\d.]+) %\*\* \(([\d.]+) to ([\d.]+)\)"),
     ("lift", r"true 2D joints to ([\d.]+) % within 10 cm \(PCKh@0\.5 with a head of 20 cm; AUC ([\d.]+),"),
-    ("lift", r"it gets ([\d.]+) % and ([\d.]+), where that `in_car` itself, which sees depth, has ([\d.]+) and ([\d.]+)"),
+    ("lift", r"it gets ([\d.]+) % and ([\d.]+), where `in_car` itself, which sees depth, has ([\d.]+) and ([\d.]+)"),
     ("parts", r"a mean IoU of ([\d.]+) % over the eight parts \(head ([\d.]+),"),
-    ("paf", r"\| `paf`, people matched by distance \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| [\d.]+ cm \| ([\d.]+) \|"),
-    ("paf", r"\| `paf`, by seat, told where the wheel is \| \*\*([\d.]+)\*\* \| \*\*([\d.]+)\*\* \| \*\*([\d.]+)\*\* "),
-    ("paf", r"\| `paf`, by seat, not told \| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| ([\d.]+) "),
+    ("paf", r"\| plain \| (\d+) \|" + r" ([\d.]+) → ([\d.]+) \|" * 6 + r"\n?\s?\| drivers"),
+    ("paf", r"\| right-hand drive \| (\d+) \|" + r" [\d.]+ → ([\d.]+) \|" * 6),
 ]  # fmt: skip
 
 
