@@ -170,7 +170,7 @@ def test_labels_lie_nearer_on_the_same_ray() -> None:
         ("rfoot", 0.04),
         ("torso", 0.08),
         ("lshoulder", 0.08),
-        ("rknee", 0.08),
+        ("rknee", 0.04),
     ):
         np.testing.assert_allclose(by_name[name], distance, atol=1e-9)
 

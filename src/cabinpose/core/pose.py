@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 # Places of people in a car, in the order of a dataset.
 OCCUPANT_SLOTS: tuple[str, ...] = ("driver", "front_passenger", "rear_left", "rear_center", "rear_right")
@@ -37,6 +38,8 @@ def wheel_sides(hips: NDArray[Any], vehicle_from_camera: NDArray[Any], places: S
     vehicle_from_camera: (..., 4, 4), NaN = not known. Who faces the rear, with the left hip to the car's right, says nothing:
     where benches face each other there is no wheel.
     """
+    import numpy as np  # noqa: PLC0415 - the names of places, which every command's help needs, do without
+
     to_left = vehicle_from_camera[..., 1, :]
     across = np.einsum("...pij,...j->...pi", hips, to_left[..., :3]) + to_left[..., 3, None, None]
     sides = np.sign(np.where(across[..., 0] > across[..., 1], across.mean(axis=-1), 0.0))
