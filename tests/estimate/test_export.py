@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import onnx
+import onnxruntime
 import pytest
 
 from cabinpose.core.errors import ModelError
@@ -33,3 +36,24 @@ def test_large_values_are_compared_by_their_share(
         assert not out.exists()
     else:
         assert export.export_onnx(checkpoints["compact"], out, name="drifting", card={}) < export.TOLERANCE
+
+
+@pytest.mark.parametrize("method", ["compact", "paf"])
+def test_what_depends_on_no_input_is_worked_out_and_no_answer_changes(
+    checkpoints: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    files = tmp_path / "folded.onnx", tmp_path / "plain.onnx"
+    export.export_onnx(checkpoints[method], files[0], name=method, card={})
+    monkeypatch.setattr(export, "folded", lambda model: model)
+    export.export_onnx(checkpoints[method], files[1], name=method, card={})
+    graphs = [onnx.load(file).graph for file in files]
+    assert len(graphs[0].node) <= len(graphs[1].node)
+    assert {array.name for array in graphs[0].initializer} <= {array.name for array in graphs[1].initializer}
+    sessions = [onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"]) for file in files]
+    rng = np.random.default_rng(3)
+    seen = {
+        each.name: rng.uniform(0.3, 2.0, [n if isinstance(n, int) else 2 for n in each.shape]).astype(np.float32)
+        for each in sessions[0].get_inputs()
+    }
+    for one, other in zip(*(session.run(None, seen) for session in sessions), strict=True):
+        assert one.tobytes() == other.tobytes()
