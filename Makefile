@@ -15,10 +15,11 @@ WORKERS ?= 2
 DEMO := demo
 WERROR ?= OFF
 NATIVE := $(shell find src/native -name '*.cpp' -o -name '*.hpp')
-# Temporary files of tests are in memory where 8 GB are free there and programs run: what a command writes is flushed to the disk file
+# Temporary files of tests are in memory where 8 GB are free there, 12 GB of memory are, and programs run: what a command writes is flushed to the disk file
 # by file, for which tests would wait. `make test SCRATCH=/tmp` is on the disk.
 SCRATCH ?= $(shell free=$$(df --output=avail -k /dev/shm 2>/dev/null | tail -1); \
-  [ "$${free:-0}" -gt 8000000 ] && [ -w /dev/shm ] && ! grep -qE '^[^ ]+ /dev/shm [^ ]+ [^ ]*noexec' /proc/mounts && echo /dev/shm || echo "$${TMPDIR:-/tmp}")
+  memory=$$(awk '/MemAvailable/ {print $$2}' /proc/meminfo 2>/dev/null); \
+  [ "$${free:-0}" -gt 8000000 ] && [ "$${memory:-0}" -gt 12000000 ] && [ -w /dev/shm ] && ! grep -qE '^[^ ]+ /dev/shm [^ ]+ [^ ]*noexec' /proc/mounts && echo /dev/shm || echo "$${TMPDIR:-/tmp}")
 PYTEST = TMPDIR=$(SCRATCH) $(BIN)/pytest -q -n $(WORKERS)
 # Where the environment forbids bytecode, every worker would compile the tests and rewrite their assertions anew: 12 CPU-s of each.
 export PYTHONDONTWRITEBYTECODE :=
