@@ -2,7 +2,7 @@
 
     python tests/faults/lost.py             # all
     python tests/faults/lost.py synth train
-    python tests/faults/lost.py --brief     # fewer kills, and smaller parts
+    python tests/faults/lost.py --brief     # fewer kills
 
 prints a table. A command is killed at some of its calls and run again: what both runs take beyond one that is left alone is lost.
 Seconds are of processor time, which what else the machine does hardly changes; of recordings they are of the samples' clock.
@@ -32,11 +32,6 @@ COMMANDS: Mapping[str, Command] = {  # of a size at which the work is more than 
     "export": Command("export coco {inputs}/other --out {out}/e", "e"),
     "predict": Command("predict {inputs}/other --model {inputs}/m.onnx --out {out}/p.jsonl", "p.jsonl"),
 }  # fmt: skip
-BRIEF = {  # three parts in place of two longer ones
-    "synth": Command(
-        "synth scene.cars=[sedan] output.frames_per_part=40 --frames 120 --workers 1 --out {out}/d", "d", "--resume"
-    ),
-}
 LABELS = 20
 
 
@@ -119,7 +114,6 @@ def main() -> int:
     outputs.load_all()
     brief = "--brief" in sys.argv
     names = [word for word in sys.argv[1:] if word != "--brief"]
-    commands = COMMANDS | (BRIEF if brief else {})
     failed = False
 
     def row(name: str, measure: Callable[[], tuple[float, float]], unit: str, allowed: Callable[[float], float]) -> None:
@@ -136,9 +130,9 @@ def main() -> int:
         (inputs / "long.yaml").write_text((inputs / "run.yaml").read_text().replace("epochs: 2", "epochs: 4"))
         work.mkdir()
         tell("", "of", "lost")
-        for name, command in commands.items():
+        for name, command in COMMANDS.items():
             # Of parts or epochs one is lost; then there is a second start, and a busy machine.
-            steps = {"synth": 3 if brief else 2, "train": 4}.get(name, 1)
+            steps = {"synth": 2, "train": 4}.get(name, 1)
             row(name, lambda c=command: lost_work(c, inputs, work, brief), "s", lambda whole, n=steps: 1.5 * whole / n + 1.5)  # type: ignore[misc]
         # 5.25 s: queue_s and flush_s of a rig that does not set them
         row("record", lambda: lost_samples(work, 4 if brief else 8), "s", lambda _: 5.25)
