@@ -150,7 +150,7 @@ def test_a_full_disk_ends_the_take_and_not_the_file(tmp_path: Path, limit: int) 
     assert out.stat().st_size <= limit
     with out.open("rb") as file:
         read = list(make_reader(file, validate_crcs=True).iter_messages())
-    assert read  # how many fit depends on the large frames among them, and on a busy machine on what waits for one write
+    assert len(read) > 50  # how many fit depends on how many of the large frames are among them
     sent = {"suit": 0, "tof": 0}
     for line in lines:
         if line.split()[0] in sent:
