@@ -31,7 +31,7 @@ def begun(method: str, source: Path, **settings: Any) -> tuple[Detector, str]:
     """A detector that begins with another one, and the one line that says what it took."""
     detector = Detector(config(method, **settings))
     with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         begin_with(detector, source, [])
     lines = [str(each.message) for each in told if str(source) in str(each.message)]
     assert len(lines) <= 1

@@ -439,7 +439,7 @@ def test_a_cpu_that_emulates_bfloat16_trains_in_float32_and_says_so(
     monkeypatch.setattr(train_config, "_CPU_INFO", cpu)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         assert train_config.usable_precision(asked) == used
     told = [str(each.message) for each in caught]
     assert (told == []) == (asked == used)
@@ -455,7 +455,7 @@ def test_a_run_in_bfloat16_is_the_one_in_float32_where_the_cpu_has_none(tmp_path
     for precision in ("32-true", "bf16-mixed"):
         c = config("compact", epochs=1, precision=precision)
         with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+            warnings.simplefilter("always", UserWarning)
             fit(c, frames(c), frames(c), tmp_path / precision, machines=ONE)
         told[precision] = [str(each.message) for each in caught if "in place of" in str(each.message)]
     assert [len(lines) for lines in told.values()] == [0, 1]

@@ -6,6 +6,7 @@ import io
 import shutil
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -238,12 +239,15 @@ def labelled(folder: Path) -> bytes:
 
 def corrected(folder: Path) -> Callable[[Path], None]:
     """The reading of a COCO file, its joints held against those of the dataset."""
-    data = dataset(folder / "corrected")
-    images = open_dataset(data).load()
-    labelling = Labelling(images, open_labels(folder / "corrected.jsonl", images))
+    images = open_dataset(dataset(folder / "corrected")).load()
     form = FORMATS["coco-labels"]
     assert isinstance(form, LabelFormat)
-    return lambda path: corrections(labelling, path, form.read(path, NoOptions()))
+
+    def read(path: Path) -> None:
+        with closing(open_labels(folder / "corrected.jsonl", images)) as labels:
+            corrections(Labelling(images, labels), path, form.read(path, NoOptions()))
+
+    return read
 
 
 def journal(folder: Path) -> bytes:

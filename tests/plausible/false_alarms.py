@@ -52,7 +52,7 @@ def heard(said: Said, what: str, act: Callable[[], object]) -> None:
     """Count what is warned of, or printed as a warning or an error, while something is done."""
     forget_told_cameras()
     with warnings.catch_warnings(record=True) as told, contextlib.redirect_stderr(io.StringIO()) as printed:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         with contextlib.redirect_stdout(io.StringIO()):
             act()
     lines = [str(each.message) for each in told if each.category is UserWarning]

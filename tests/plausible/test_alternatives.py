@@ -56,7 +56,7 @@ def upside_down(frames: FrameBatch) -> FrameBatch:
 def looked_at(model: str, frames: FrameBatch) -> tuple[PoseBatch, list[str]]:
     predictor = load_model(model, threads=1)
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         found = predictor.predict(frames)
     return found, [str(each.message) for each in caught]
 

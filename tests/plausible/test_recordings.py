@@ -35,7 +35,7 @@ def person() -> Poses:
 def _told() -> Iterator[None]:
     """Every warning comes, as in a run of its own."""
     with warnings.catch_warnings():
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         yield
 
 
@@ -75,7 +75,7 @@ def stamped(stamp: Callable[[int], int]) -> Callable[[str], str]:
 def imported(path: Path, name: str, **options: Any) -> tuple[Any, list[str]]:
     """What came of an import, and what was warned of."""
     with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         made = import_recording(path, name, path.with_suffix(".mcap"), overwrite=True, **options)
     return made, [str(each.message) for each in told]
 
@@ -378,7 +378,7 @@ def scaled_bvh(text: str, factor: float, frames: int) -> str:
 @pytest.mark.parametrize(("file", "form"), [(CMU, "bvh"), (MVNX, "mvnx"), pytest.param(C3D, "c3d", marks=pytest.mark.slow)])
 def test_nothing_is_said_of_real_recordings(real_data: Callable[[str], Path], tmp_path: Path, file: str, form: str) -> None:
     with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         made = import_recording(real_data(file), form, tmp_path / "take.mcap")
     assert [str(each.message) for each in told] == []
     assert all(body.doubts == () for body in made.bodies)

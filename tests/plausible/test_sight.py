@@ -205,6 +205,6 @@ def test_a_segmentation_tells_its_field_of_view_once() -> None:
             camera_dist=np.zeros(5),
         )
         with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+            warnings.simplefilter("always", UserWarning)
             parts.segment(frames)
         assert len([each for each in caught if "parts: images of 30°" in str(each.message)]) == told

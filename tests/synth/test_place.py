@@ -117,7 +117,7 @@ def test_a_small_image_has_the_same_view() -> None:
 def checked(text: str, *changes: str) -> tuple[tuple[PlaceReport, ...], list[str]]:
     """What `preflight` gives and warns of."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", UserWarning)
         places = preflight(SynthConfig.load(None, (text, *changes)), frames=1)
     return places, [str(each.message) for each in caught]
 
