@@ -66,7 +66,8 @@ def test_one_car_is_one_for_everybody_and_no_seed_is_used_twice(name: str, tmp_p
         if len(pieces) > 1:
             (cars,) = {piece.cars for piece in pieces}
             assert [seed for _, seed in cars] == [None]
-    seeds = [piece.seed for pieces in plan.data.values() for piece in pieces]
+    alike = {name for name, data in plan.experiment.data.items() if data.like}  # whose scenes are meant to be the same ones
+    seeds = [piece.seed for name, pieces in plan.data.items() if name not in alike for piece in pieces]
     assert len(seeds) == len(set(seeds))
 
 
@@ -107,6 +108,21 @@ def test_real_and_synthetic_frames_keep_their_ratios(tmp_path: Path) -> None:
     counts = {row: [source.frames for source in trained[row][0].train] for row in ("R2", "R3", "R4", "R6")}
     assert counts == {"R2": [90, 270], "R3": [90, 450], "R4": [90, 900], "R6": [180, 540]}
     assert trained["R2"][0].validation[0].frames == 200
+
+
+def test_a_dataset_is_like_another_but_for_its_own_keys(write: Write, tmp_path: Path) -> None:
+    synth = {"noise": {"multipath": True, "blur": 0.2}, "camera": {"jitter_m": 0.0}}
+    both = {"like": "base", "synth": {"noise": {"blur": None}, "scene": {"clutter": 0.5}}}
+    data = {"last": {"like": "both", "frames": 7}, "both": both, "base": {"frames": 9, "seed": 5, "synth": synth}}
+    found = load(write({"data": data})).data
+    noise = {"multipath": True}
+    assert found["base"] == Data(frames=9, seed=5, synth=synth)
+    assert found["both"] == Data(like="base", frames=9, seed=5, synth=synth | {"noise": noise, "scene": {"clutter": 0.5}})
+    assert found["last"] == found["both"].model_copy(update={"like": "both", "frames": 7})
+    with pytest.raises(ConfigError, match="unknown dataset 'bas'"):
+        load(write({"data": data | {"both": {"like": "bas"}}}))
+    with pytest.raises(ConfigError, match="last is like both is like last"):
+        load(write({"data": data | {"both": {"like": "last"}}}))
 
 
 def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:

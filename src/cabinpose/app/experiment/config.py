@@ -37,6 +37,7 @@ class Laboratory(Keys):
 class Data(Keys):
     """A dataset: a folder, or a stand-in that is generated."""
 
+    like: str = Field("", exclude_if=not_, description="Another dataset of the file, which this one is but for its own keys.")
     folder: Path | None = Field(None, description="Folder of a dataset; relative to the file.")
     synth: Mapping[str, Any] | None = Field(None, description="Configuration of the scenes of a stand-in, as of `synth`.")
     lab: Laboratory | None = Field(None, description="The scenes of `synth` are recorded in the virtual laboratory.")
@@ -303,7 +304,24 @@ def find(name: str) -> Path:
 
 def load(path: Path) -> Experiment:
     """Read and check a file. Raises ConfigError that names the key."""
-    return validated(Experiment, _mapping(path, _DEPTH), path, hint=HINT)
+    whole = _mapping(path, _DEPTH)
+    data = whole.get("data")
+    if isinstance(data, dict):
+        whole["data"] = {name: _as_like(name, data, ()) for name in data}
+    return validated(Experiment, whole, path, hint=HINT)
+
+
+def _as_like(name: str, data: Mapping[str, Any], before: tuple[str, ...]) -> Any:
+    """A dataset's keys, over those of the one that it is like. Raises ConfigError for one that is not there, and for a circle."""
+    own = data[name]
+    other = own.get("like") if isinstance(own, dict) else None
+    if not isinstance(other, str):
+        return own  # which is refused if it is no mapping, or names no dataset
+    _known("dataset", other, data)
+    if name in before:
+        raise ConfigError(f"data.{name}: like: {' is like '.join((*before, name))}", hint="end the circle")
+    base = _as_like(other, data, (*before, name))
+    return merged(base, own) if isinstance(base, dict) else own
 
 
 def _mapping(path: Path, depth: int) -> dict[str, Any]:
