@@ -8,7 +8,7 @@ import xarray as xr
 
 from cabinpose.evaluate.offline import samples_of
 from cabinpose.evaluate.options import EvaluationOptions
-from cabinpose.evaluate.repeats import ModelErrors, accuracy_curve, errors_of, joined_errors, over_repeats
+from cabinpose.evaluate.repeats import ModelErrors, accuracy_curve, errors_of, joined_errors, over_repeats, row_differences
 from cabinpose.evaluate.report import make_report
 from cabinpose.store.predictions import Predictions
 
@@ -58,6 +58,41 @@ def test_the_interval_over_repeats_is_that_of_their_mean() -> None:
     spread = np.std(found.each) / np.sqrt(len(runs))
     assert found.value == pytest.approx(np.mean(found.each))
     assert (found.high - found.low) / 2 == pytest.approx(1.96 * spread, rel=0.1)
+
+
+def test_the_difference_on_the_same_frames_is_the_paired_one() -> None:
+    """Of frames alone: McNemar's variance, half of that of two samples where most frames are as hard for both."""
+    rng = np.random.Generator(np.random.Philox(4))
+    one = hits(0.5, 3000, rng=rng)
+    flipped = np.where(rng.random((3000, 1)) < 0.1, 0.0, one.error_px)
+    found = row_differences({"a": [one], "b": [one._replace(error_px=flipped)]}, "pckh", resamples=2000)
+    away = np.isinf(one.error_px).astype(float) - np.isinf(flipped)
+    assert found["b", "a"].value == pytest.approx(100 * away.mean())
+    assert found["a", "b"].value == -found["b", "a"].value
+    half = 1.96 * 100 * away.std() / np.sqrt(3000)
+    assert (found["b", "a"].high - found["b", "a"].low) / 2 == pytest.approx(half, rel=0.1)
+    assert found["b", "a"].sure
+
+
+def test_the_spread_of_repeats_is_pooled_over_rows() -> None:
+    """Of repeats alone: 8 rows of 3, of whose variance a difference of means has 2/3; that to a row of one repeat has 4/3."""
+    rng = np.random.Generator(np.random.Philox(5))
+    rows = {f"{i}": [hits(share, 6000, rng=rng) for share in 0.5 + 0.05 * rng.standard_normal(3)] for i in range(8)}
+    variance = np.mean([np.var(over_repeats(runs, "pckh", resamples=0).each, ddof=1) for runs in rows.values()])
+    found = row_differences(rows | {"one": [rows["0"][0]]}, "pckh")
+    halves = {pair: (each.high - each.low) / 2 for pair, each in found.items()}
+    assert np.mean([half for pair, half in halves.items() if "one" not in pair]) == pytest.approx(
+        1.96 * np.sqrt(2 / 3 * variance), rel=0.1
+    )
+    assert halves["one", "3"] == pytest.approx(1.96 * np.sqrt(4 / 3 * variance), rel=0.1)
+
+
+def test_a_repeat_that_differs_makes_nothing_sure_of_its_row() -> None:
+    rng = np.random.Generator(np.random.Philox(6))
+    far, near = [hits(share, 5000, rng=rng) for share in (0.3, 0.9)], [hits(0.55, 5000, rng=rng) for _ in range(2)]
+    assert not row_differences({"far": far, "near": near}, "pckh")["far", "near"].sure
+    assert row_differences({"far": far[:1], "near": near[:1]}, "pckh")["near", "far"].sure
+    assert row_differences({}, "pckh") == {}
 
 
 def test_parts_are_pooled_over_frames() -> None:

@@ -24,14 +24,14 @@ from cabinpose.app.experiment.cells import ExperimentCell, _sides
 from cabinpose.app.experiment.config import load
 from cabinpose.app.experiment.page import refuse_other
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
-from cabinpose.app.experiment.results import cell_text
+from cabinpose.app.experiment.results import Results, cell_text, differences_csv, first_differences
 from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.app.report import raster
 from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError
 from cabinpose.estimate import TrainConfig, frame_spec
 from cabinpose.estimate.batch import NOT_LABELLED
-from cabinpose.evaluate import OverRepeats
+from cabinpose.evaluate import OverRepeats, RowDifference
 from cabinpose.store import labelled_joints, open_dataset
 
 Write = Callable[..., Path]
@@ -51,6 +51,22 @@ def test_a_mean_error_says_how_many_joints_it_is_of() -> None:
     assert cell_text(nothing) == ("–", "")
 
 
+def test_what_is_not_sure_of_a_difference_stands_in_parentheses(write: Write, tmp_path: Path) -> None:
+    away = {
+        ("A", "B"): RowDifference(2.04, 0.1, 4.0),
+        ("A", "C"): RowDifference(2.0, -0.1, 4.0),
+        ("B", "C"): RowDifference(0, 0, 0),
+    }
+    pairs = away | {(b, a): RowDifference(-d.value, -d.high, -d.low) for (a, b), d in away.items()}
+    results = Results({}, {}, {}, {}, {}, {"PCKh@0.5": pairs, "error cm": pairs})
+    ((title, rows),) = first_differences(plan_of(write, tmp_path), results)
+    assert title == "PCKh@0.5"
+    assert rows[0] == ["", "A", "B", "C"]
+    assert rows[1] == ["A", "", "+2.0", "(+2.0)"]
+    assert rows[2][:2] == ["B", "-2.0"]
+    assert "error cm,B,A,-2.0400,-4.0000,-0.1000" in differences_csv(results).splitlines()
+
+
 def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     """Made once; a second run makes nothing; a row more makes its own cells; the page is made again from what is there."""
     words = ("--scale", "paper", "--out", tmp_path / "out", "--workers", 1, "--resamples", 50, "--json")
@@ -64,7 +80,7 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
     assert "published 13.47" in text
     assert all(f"<title>{name}</title>" in text for name in ("R1", "Head", "Wrist"))  # lines of the charts
     charts = {f"{name}.{kind}" for name in ("accuracy-T", "joints-T-R1", "training-R1") for kind in ("png", "svg")}
-    files = {"index.html", "table.md", "table.csv", "report.json", "experiment.json"} | charts
+    files = {"index.html", "table.md", "table.csv", "differences.csv", "report.json", "experiment.json"} | charts
     sheets = {p.name for p in page.parent.iterdir()} - files
     assert files <= {p.name for p in page.parent.iterdir()}
     assert sheets <= {f"frames-T-{kind}.png" for kind in ("good-frames", "one-joint-fails", "a-body-fails")}

@@ -43,10 +43,12 @@ from .parts import pairs as pairs
 from .repeats import Measure as Measure
 from .repeats import ModelErrors as ModelErrors
 from .repeats import OverRepeats as OverRepeats
+from .repeats import RowDifference as RowDifference
 from .repeats import accuracy_curve as accuracy_curve
 from .repeats import errors_of as errors_of
 from .repeats import joined_errors as joined_errors
 from .repeats import over_repeats as over_repeats
+from .repeats import row_differences as row_differences
 from .report import Report as Report
 from .report import make_report as make_report
 from .sample_view import ALL as ALL

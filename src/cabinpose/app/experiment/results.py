@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +15,14 @@ from cabinpose.app.experiment.cells import TestCell, TrainCell
 from cabinpose.app.experiment.config import TableColumn
 from cabinpose.app.experiment.plan import ExperimentPlan, joints_of
 from cabinpose.core import CABINPOSE
-from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, accuracy_curve, over_repeats
+from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, RowDifference, accuracy_curve, over_repeats, row_differences
 
 _GRID = np.linspace(0.0, 1.0, 51)  # head sizes
 _ANYWHERE = 1e30  # px or m: what was not found is infinitely far
 Lines = dict[str, tuple[list[float], list[float]]]
 """By name the xs and ys of lines."""
+JudgedRuns = Sequence[tuple[ModelErrors, tuple[str, ...]]]
+"""The errors of each repeat of a training on a test, and the joints or parts that they are of."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,8 @@ class Results:
     numbers: by training and title of the column, None where a cell is not there · found: of mean errors, per cent of the joints
     that were found, over which they are · accuracy: by test, per cent of all joints
     within each part of the head size, by training · by_joint: the same by test and training, by group of joints · curves: by
-    title, over numbers of frames, of those that have a point.
+    title, over numbers of frames, of those that have a point · differences: by title of the column and two trainings whose cells
+    are there, the first less the second.
     """
 
     numbers: Mapping[tuple[str, str], OverRepeats | None]
@@ -38,6 +41,7 @@ class Results:
     accuracy: Mapping[str, Lines]
     by_joint: Mapping[tuple[str, str], Lines]
     curves: Mapping[str, Lines]
+    differences: Mapping[str, Mapping[tuple[str, str], RowDifference]]
 
 
 def results_of(plan: ExperimentPlan, resamples: int) -> Results:
@@ -78,12 +82,14 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
             drawn[name] = ([x for x, _ in there], [y for _, y in there])
         if any(xs for xs, _ in drawn.values()):
             curves[curve.title] = drawn
-    return Results(numbers, found, accuracy, by_joint, curves)
+    differences = {}
+    for column in experiment.columns:
+        judged = {row: known.runs(plan.tested.get((row, column.test), ())) for row in experiment.trainings}
+        differences[column.title] = _differences({row: runs for row, runs in judged.items() if runs}, column, resamples)
+    return Results(numbers, found, accuracy, by_joint, curves, differences)
 
 
-def _mean_accuracy(
-    runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], space: str, joints: Sequence[str] | None
-) -> tuple[list[float], list[float]]:
+def _mean_accuracy(runs: JudgedRuns, space: str, joints: Sequence[str] | None) -> tuple[list[float], list[float]]:
     """The line of some joints, None = all: the mean over the repeats."""
     columns = None if joints is None else [runs[0][1].index(joint) for joint in joints]
     mean = np.mean([accuracy_curve(errors, _GRID, space, columns) for errors, _ in runs], axis=0)
@@ -106,15 +112,30 @@ class _ErrorsRead:
         return [self._read[cell.key] for cell in cells]
 
 
-def _number(runs: Sequence[tuple[ModelErrors, tuple[str, ...]]], column: TableColumn, resamples: int) -> OverRepeats | None:
+def _number(runs: JudgedRuns, column: TableColumn, resamples: int) -> OverRepeats | None:
     if not runs:
         return None
-    names = runs[0][1]
-    chosen = None if column.joints == ALL else [names.index(j) for j in joints_of(column.joints, names)]
     return over_repeats(
-        [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold or 0.5, joints=chosen,
-        resamples=resamples,
+        [errors for errors, _ in runs], column.measure, space=column.space, threshold=column.threshold or 0.5,
+        joints=_counted(runs, column), resamples=resamples,
     )  # fmt: skip
+
+
+def _differences(rows: Mapping[str, JudgedRuns], column: TableColumn, resamples: int) -> dict[tuple[str, str], RowDifference]:
+    return row_differences(
+        {row: [errors for errors, _ in runs] for row, runs in rows.items()},
+        column.measure,
+        space=column.space,
+        threshold=column.threshold or 0.5,
+        joints={row: _counted(runs, column) for row, runs in rows.items()},
+        resamples=resamples,
+    )
+
+
+def _counted(runs: JudgedRuns, column: TableColumn) -> list[int]:
+    """The columns of the joints that count."""
+    names = runs[0][1]
+    return list(range(len(names))) if column.joints == ALL else [names.index(j) for j in joints_of(column.joints, names)]
 
 
 def _found(column: TableColumn) -> TableColumn:
@@ -190,6 +211,31 @@ def csv_text(plan: ExperimentPlan, results: Results) -> str:
                     " ".join(f"{e:.4f}" for e in number.each),
                 ]
             writer.writerow([row, column.title, column.test, *values, "" if share is None else f"{share:.4f}", figure])
+    return text.getvalue()
+
+
+def first_differences(plan: ExperimentPlan, results: Results) -> Iterator[tuple[str, list[list[str]]]]:
+    """How far rows differ: titles, each the first column of a test, and how far each row, down, is above each other one, across.
+
+    In parentheses stands what is not sure; columns of a single row are left out.
+    """
+    firsts: dict[str, str] = {}
+    for column in plan.experiment.columns:
+        firsts.setdefault(column.test, column.title)
+    for title in firsts.values():
+        if pairs := results.differences[title]:
+            names = list(dict.fromkeys(row for row, _ in pairs))
+            told = {pair: f"{each.value:+.1f}" if each.sure else f"({each.value:+.1f})" for pair, each in pairs.items()}
+            yield title, [["", *names], *([row, *(told.get((row, other), "") for other in names)] for row in names)]
+
+
+def differences_csv(results: Results) -> str:
+    """Every difference on a line of its own, as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["column", "training", "less", "value", "low", "high"])
+    for column, pairs in results.differences.items():
+        writer.writerows([column, *pair, *(f"{number:.4f}" for number in each)] for pair, each in pairs.items())
     return text.getvalue()
 
 
