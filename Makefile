@@ -11,6 +11,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 FRAMES ?= 1000
 UNSEEN ?= 100
+NAME ?= se1
+SCALE ?= small
 WORKERS ?= 2
 DEMO := demo
 WERROR ?= OFF
@@ -24,7 +26,7 @@ PYTEST = TMPDIR=$(SCRATCH) $(BIN)/pytest -q -n $(WORKERS)
 # Where the environment forbids bytecode, every worker would compile the tests and rewrite their assertions anew: 12 CPU-s of each.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help demo test test-slow test-faults test-all test-native coverage lint format bench docs wheels cibuildwheel lock clean
+.PHONY: help demo test test-slow test-faults test-all test-native coverage experiment lint format bench docs wheels cibuildwheel lock clean
 
 help:  ## what there is
 	@grep -hE '^[a-z-]+: .*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
@@ -41,6 +43,9 @@ demo: $(VENV)/.base  ## install, generate 1000 frames and look at them; then tra
 	$(BIN)/cabinpose evaluate $(DEMO)/unseen --model $(DEMO)/demo.onnx in_car --persons driver front_passenger \
 	  --out $(DEMO)/report --overwrite
 	@echo "open $(DEMO)/view/index.html and $(DEMO)/report/index.html"
+
+experiment: $(VENV)/.dev  ## install, and make frames, models and page of an experiment: NAME=se1, SCALE=paper
+	$(BIN)/cabinpose experiment run $(NAME) --scale $(SCALE)
 
 test: $(VENV)/.dev  ## the tests but for the slow ones; CABINPOSE_REAL_DATA names the folder of real recordings
 	$(PYTEST) --dist loadfile -m "not slow"
