@@ -298,7 +298,7 @@ def test_rows_that_are_one_stand_where_the_first_of_them_stands(write: Write, tm
     plan = make_plan(
         load(write({"trainings": {"R1": None, "A": row, "B": other, "C": row}, "published": None})), "paper", tmp_path, {}
     )
-    assert [cell.name for cell in plan.cells][3:] == ["A", "B", "A on T", "B on T"]
+    assert [cell.name for cell in plan.cells][3:] == ["A", "A on T", "B", "B on T"]
 
 
 def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path) -> None:

@@ -10,8 +10,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -25,7 +27,7 @@ from cabinpose.app.experiment.config import load
 from cabinpose.app.experiment.page import refuse_other
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
 from cabinpose.app.experiment.results import Results, cell_text, differences_csv, first_differences
-from cabinpose.app.experiment.schedule import make_cells
+from cabinpose.app.experiment.schedule import _spread, make_cells
 from cabinpose.app.report import raster
 from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError
@@ -288,6 +290,23 @@ def test_a_cluster_makes_each_cell_after_those_that_it_needs(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+def test_a_rows_tests_come_before_the_next_row_also_of_several_workers() -> None:
+    """Who interrupts a long run has the numbers of what was trained."""
+    handed = list[str]()
+
+    class AtOnce(Executor):
+        def submit(self, _: Any, cell: Any) -> Future[dict[str, Any]]:  # type: ignore[override]
+            handed.append(cell.name)
+            future = Future[dict[str, Any]]()
+            future.set_result({})
+            return future
+
+    needs = {"A": (), "A on T": ("A",), "B": (), "B on T": ("B",), "C": (), "C on T": ("C",)}
+    cells: Any = [SimpleNamespace(name=name, key=name, needs=of) for name, of in needs.items()]
+    _spread(cells, AtOnce(), lambda *_: None, at_once=2)
+    assert handed == ["A", "B", "A on T", "B on T", "C", "C on T"]
+
+
 def test_no_scheduler(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no Dask scheduler answers"):
         make_cells([Note("a", "a", tmp_path / "a", (), 0.0)], "tcp://127.0.0.1:1", lambda *_: None)

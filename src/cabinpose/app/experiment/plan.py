@@ -38,25 +38,25 @@ class ExperimentPlan:
     """The cells of an experiment at a scale.
 
     data: the pieces of each dataset that any cell needs · trained: by training, a cell for each repeat · tested: by training and
-    test that judges it, likewise · first: trainings that others are tuned from.
+    test that judges it, likewise.
     """
 
     experiment: Experiment
     scale: RunScale
     data: Mapping[str, tuple[DatasetPiece, ...]]
     made: tuple[DataCell, ...]
-    first: tuple[TrainCell, ...]
     trained: Mapping[str, tuple[TrainCell, ...]]
     tested: Mapping[tuple[str, str], tuple[TestCell, ...]]
 
     @property
     def cells(self) -> list[ExperimentCell]:
-        """All cells, each once, none before those that it needs."""
-        rows = [cell for cells in self.trained.values() for cell in cells]
-        tests = [cell for cells in self.tested.values() for cell in cells]
-        found: dict[str, ExperimentCell] = {}
-        for cell in [*self.made, *self.first, *rows, *tests]:
-            found.setdefault(cell.key, cell)
+        """All cells, each once, none before those that it needs; a row's tests before the next row, so that its numbers are."""
+        found: dict[str, ExperimentCell] = {cell.key: cell for cell in self.made}
+        for row, cells in self.trained.items():
+            first = [cell.begins for cell in cells if cell.begins is not None]
+            tests = [cell for (of, _), tested in self.tested.items() if of == row for cell in tested]
+            for cell in [*first, *cells, *tests]:
+                found.setdefault(cell.key, cell)
         return list(found.values())
 
     def chosen(self, only: Sequence[str]) -> list[ExperimentCell]:
@@ -148,7 +148,7 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
     rows = {name: plan.training(name, row) for name, row in experiment.trainings.items()}
     trained = {name: tuple(cells) for name, (_, cells) in rows.items()}
     _check_columns(experiment, [cells[0] for cells in trained.values()])
-    first = tuple(cell for before, _ in rows.values() for cell in before)
+    first = [cell for before, _ in rows.values() for cell in before]
     tested = {
         (row, name): tuple(plan.test(name, cell) for cell in cells)
         for row, cells in trained.items()
@@ -159,7 +159,7 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
     needed = {key for cell in every for key in cell.needs}
     used = {name: tuple(piece for piece in pieces if piece.key in needed or not piece.config) for name, pieces in data.items()}
     made = tuple(plan.made(piece) for pieces in used.values() for piece in pieces if piece.config)
-    return ExperimentPlan(experiment, scale, used, made, first, trained, tested)
+    return ExperimentPlan(experiment, scale, used, made, trained, tested)
 
 
 class _Planner:

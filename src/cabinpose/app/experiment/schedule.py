@@ -43,16 +43,16 @@ def make_cells(cells: Sequence[ExperimentCell], workers: int | str, told: Told) 
             told(cell, cell.make())
         return
     with _executor(workers) as executor:
-        _spread(missing, executor, told)
+        _spread(missing, executor, told, at_once=workers if isinstance(workers, int) else len(missing))
 
 
-def _spread(missing: Sequence[ExperimentCell], executor: Executor, told: Told) -> None:
-    """Hand each cell to the executor as soon as all that it needs is there."""
+def _spread(missing: Sequence[ExperimentCell], executor: Executor, told: Told, *, at_once: int) -> None:
+    """Hand each cell to the executor as soon as all that it needs is there, the first of those that wait first."""
     waiting, absent = list(missing), {cell.key for cell in missing}
     running: dict[Future[dict[str, Any]], ExperimentCell] = {}
     try:
         while waiting or running:
-            ready = [cell for cell in waiting if not absent.intersection(cell.needs)]
+            ready = [cell for cell in waiting if not absent.intersection(cell.needs)][: at_once - len(running)]
             waiting = [cell for cell in waiting if cell not in ready]
             running |= {executor.submit(_make, cell): cell for cell in ready}
             for future in wait(running, return_when=FIRST_COMPLETED).done:
