@@ -151,6 +151,7 @@ def test_camera_and_lens_come_back_from_images(noise, limit_mm, limit_deg):
     assert deg < limit_deg
 
 
+@pytest.mark.slow
 def test_all_corners_do_better_than_markers_on_average():
     """Noise on exact observations, 7 times: 0.03 px on corners, 0.1 px on markers, 0.3 mm in the optical system."""
     by_markers, by_corners, said = [], [], []

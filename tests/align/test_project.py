@@ -223,6 +223,7 @@ def test_joints_of_whom_no_pixel_is_seen_stay(tmp_path: Path, take) -> None:
     assert set(takes.reports[0].depth_corrected_cm.values()) == {0.0}
 
 
+@pytest.mark.slow
 def test_frames_in_which_one_of_two_people_has_no_pose_are_left_out(tmp_path: Path) -> None:
     path = tmp_path / "pair.mcap"
     Made(jitter_s=0.0, codes=("S07", "S08"), second="suit2", optical_gap=(4.0, 5.0)).write(path)

@@ -205,6 +205,7 @@ def test_warm_up_is_not_counted_and_figures_are_medians_of_runs() -> None:
     assert "frames_per_s_batch" not in figures(Clockwork(), [run._replace(batch_s=None)])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_bench")
 def test_a_small_bench_has_every_figure(model: Path) -> None:
     said: list[str] = []
@@ -232,6 +233,7 @@ def test_a_small_bench_has_every_figure(model: Path) -> None:
     assert turns == ["compact", "compact_fresh", "tiny"] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_bench")
 def test_networks_in_files_are_peers_without_torch_as_well(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "find_spec", lambda name: None if name == "torch" else SimpleNamespace())

@@ -34,6 +34,7 @@ def crowd() -> list[Person]:
     return [person(number) for number in range(1, 81)]
 
 
+@pytest.mark.slow
 def test_sides_differ_as_those_of_people_do(crowd: list[Person]) -> None:
     """Legs as in Knutson 2005 (5.2 mm, SD 4.1, whichever is longer), arms 1 % longer on the right."""
     at = [joints(body) for body in crowd]

@@ -88,6 +88,7 @@ def test_give_is_honoured_to_the_millimetre(give: float) -> None:
     assert rigid.excess_m == pytest.approx(give + 0.0005, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_every_point_is_judged_as_by_trimesh() -> None:
     """Nine thousand points about one threshold, no verdict differs from the exact distance."""
     mesh = trimesh.util.concatenate([_box((0.3, 0.3, 0.1)), trimesh.creation.icosphere(3, 0.08).apply_translation((0, 0, 0.3))])

@@ -148,6 +148,7 @@ def _out_of_time(epoch: int) -> None:
         raise OutOfTimeError("for the test")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a frame in which tiny cannot see anybody")
 def test_better_weights_alone_are_shipped_with_their_card(tiny: Campaign) -> None:
     assert tiny.run(10.0)

@@ -86,6 +86,7 @@ def test_the_votes_learn_from_where_they_fell_alone() -> None:
     assert compact.votes.weight.grad is not None
 
 
+@pytest.mark.slow
 def test_a_look_learns_to_find_the_spike_beside_the_vote() -> None:
     """A joint is a near spot in a far wall, and the vote up to 6 px beside it: depths alone have to show where."""
     torch.manual_seed(0)

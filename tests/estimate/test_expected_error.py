@@ -98,6 +98,7 @@ def _distances(vote: NDArray[Any], depth: float, focal: float) -> NDArray[Any]:
     return np.sqrt(((vote[:2] * depth / focal) ** 2).sum(axis=0) + vote[2] ** 2)
 
 
+@pytest.mark.slow
 def test_spreads_of_the_network(checkpoints: dict[str, Path], tmp_path: Path) -> None:
     """The votes' standard deviation from the raw output of their layer; and how far a frame and its mirror image differ."""
     from cabinpose.estimate.export import export_onnx

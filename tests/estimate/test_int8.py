@@ -29,6 +29,7 @@ def mirrored(checkpoints: dict[str, Path], tmp_path_factory: pytest.TempPathFact
     return {"float": folder / "float.onnx", "int8": folder / "int8.onnx"}
 
 
+@pytest.mark.slow
 def test_it_is_the_same_model_with_nearly_the_same_answers(mirrored: dict[str, Path]) -> None:
     said = [json.loads({p.key: p.value for p in onnx.load(str(path)).metadata_props}[METADATA_KEY]) for path in mirrored.values()]
     assert said[0] == said[1]

@@ -99,6 +99,7 @@ print(*sys.modules)
 """
 
 
+@pytest.mark.slow
 def test_running_models_loads_nothing_that_trains() -> None:
     done = subprocess.run([sys.executable, "-c", _RUNS], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

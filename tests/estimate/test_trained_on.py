@@ -61,6 +61,7 @@ def told(dataset: xr.Dataset, model: Any) -> tuple[int, str]:
     return caveats.trained_on, caveats.coverage
 
 
+@pytest.mark.slow
 def test_frames_that_were_trained_on_are_counted(folder: Path, model: Path) -> None:
     dataset, predictor = open_dataset(folder), load_model(model)
     assert predictor.trained_on == {dataset.attrs["frames_id"]: "0-1 4"}

@@ -40,6 +40,7 @@ def answers(model: nn.Module, batch: Batch) -> dict[str, np.ndarray]:
     return {name: getattr(votes, name).numpy() for name in ("joints", "inside", "visible", "present")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_torch_answers_as_the_file_that_it_is_read_from(checkpoints: dict[str, Path], tmp_path: Path, mirrored: bool) -> None:
     path = tmp_path / "model.onnx"

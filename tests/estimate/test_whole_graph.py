@@ -135,6 +135,7 @@ def test_the_graph_expects_the_errors_of_the_predictor_and_is_blind_where_it_is(
         assert not answers[name][4:].any()
 
 
+@pytest.mark.slow
 def test_a_graph_for_cars_with_the_wheel_on_the_right_names_the_front_row_so(tmp_path: Path) -> None:
     """Whatever the network sees; and so does the model itself."""
     camera = CAMERAS["pinhole"]

@@ -47,6 +47,7 @@ def grouped(dataset: xr.Dataset, model: Predictions, word: str, options: Evaluat
     return grouping
 
 
+@pytest.mark.slow
 def test_a_group_has_the_numbers_of_an_evaluation_of_it_alone(many: xr.Dataset) -> None:
     rng = np.random.default_rng(3)
     model = answers(many, rng.gamma(2.0, 8.0, (many.sizes["frame"], many.sizes["person"])))

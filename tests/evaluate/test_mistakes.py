@@ -196,6 +196,7 @@ def test_a_mistake_is_named_with_figures(case: Case, done: str) -> None:
         assert [each.space for each in caveats.explanations] == ["2d"]  # 3D is as it should be
 
 
+@pytest.mark.slow
 def test_every_row_of_the_table_is_found(case: Case) -> None:
     every = [each for change, _, _ in FOUND.values() for each in judged(case, change(case.good)).explanations]
     named = {name for each in every for name in each.mistakes}

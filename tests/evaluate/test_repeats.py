@@ -53,7 +53,7 @@ def test_the_interval_over_frames_is_the_binomial_one() -> None:
 def test_the_interval_over_repeats_is_that_of_their_mean() -> None:
     """Models that differ by far more than frames do: the mean of R draws with replacement has the variance of the R over R."""
     rng = np.random.Generator(np.random.Philox(2))
-    runs = [hits(share, 20_000, rng=rng) for share in np.linspace(0.2, 0.8, 12)]
+    runs = [hits(share, 5000, rng=rng) for share in np.linspace(0.2, 0.8, 12)]
     found = over_repeats(runs, "pckh", resamples=2000)
     spread = np.std(found.each) / np.sqrt(len(runs))
     assert found.value == pytest.approx(np.mean(found.each))

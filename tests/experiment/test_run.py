@@ -175,6 +175,7 @@ def metrics(out: Path) -> list[Path]:
     return list(out.glob("trained/*/log/metrics.csv"))
 
 
+@pytest.mark.slow
 def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_path: Path) -> None:
     """The user's folder in place of the stand-in shows who is in it: whoever is tested must not be learnt from."""
     plan = make_plan(load(write()), "paper", tmp_path / "out", {})

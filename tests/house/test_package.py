@@ -7,6 +7,8 @@ import sys
 from importlib.metadata import entry_points, requires
 from pathlib import Path
 
+import pytest
+
 import cabinpose
 
 
@@ -100,6 +102,7 @@ for line in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_a_base_install_generates_looks_predicts_judges_and_exports(tmp_path: Path) -> None:
     """With everything blocked that only extras bring."""
     commands = (

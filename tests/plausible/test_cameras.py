@@ -296,6 +296,7 @@ def believed_of(shown: BoardViews, **wrong: Any) -> list[str]:
     return believed(board, views, place)[1]
 
 
+@pytest.mark.slow
 def test_a_board_as_described_is_believed_and_one_slightly_off_doubted(board_shown: BoardViews) -> None:
     assert believed_of(board_shown) == []
     assert "doubtful: held-out views, px" in believed_of(board_shown, square_m=0.0604)[0]

@@ -80,6 +80,7 @@ def test_benches_that_face_each_other_and_tunnels() -> None:
     assert tunnel_m(shuttle) < 0.04
 
 
+@pytest.mark.slow
 def test_full_cars_are_found_soon() -> None:
     full = CabinScene(cars=("van",), occupancy=dict.fromkeys(OCCUPANT_SLOTS, 1.0))
     sampler = SceneSampler(SynthConfig(scene=full), 1)

@@ -136,6 +136,7 @@ def test_the_network_does_what_it_is_told() -> None:
     assert fates(given_) == told != fates(given_.model_copy(update={"seed": 10}))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data())
 def test_every_sample_is_received_or_lost(data: st.DataObject) -> None:

@@ -158,6 +158,7 @@ def test_a_wall_by_a_light_at_the_camera_has_the_radiance_of_the_law() -> None:
     assert np.abs(image[..., 1] * r**3 / 1.2 - 1).mean() < 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("path_tracer")
 def test_a_wall_under_an_even_sky_has_its_reflectance_of_the_skys_radiance() -> None:
     wall, colour = plane(0.6)
@@ -193,6 +194,7 @@ def test_the_dome_stands_as_it_is_painted_for_both_renderers() -> None:
         np.testing.assert_allclose(light.seen(rays), expected, atol=0.04)
 
 
+@pytest.mark.slow
 def test_denoising_keeps_light_colours_and_edges_and_takes_noise_away() -> None:
     camera = small_camera(BARREL)
     grid = grid_of(camera)
@@ -349,6 +351,7 @@ def test_pictures_change_nothing_else(pictured: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(seen[name].values, plain[name].values)
 
 
+@pytest.mark.slow
 def test_things_have_colours_of_their_own(tmp_path: Path) -> None:
     """A cardboard box is brown: red before green before blue, in every pixel of it."""
     scene = {"cars": ["sedan"], "occupants": {"driver": {"subject": "S03"}}, "objects": {"rear_center": {"box": 1.0}}}
@@ -420,6 +423,7 @@ def test_what_cannot_be_is_refused(images: dict[str, Any]) -> None:
         SynthConfig.parse({"images": images})
 
 
+@pytest.mark.slow
 def test_a_sequence_is_in_one_light() -> None:
     sequence, sensor = {"frames": 2, "rate_hz": 10, "activities": ["rest_lap"]}, SMALL.model_dump(mode="json")
     scene = {"cars": ["sedan"], "occupancy": {"driver": 1.0}, "sequence": sequence}

@@ -171,6 +171,7 @@ def test_the_beam_is_a_disk_of_its_width_on_a_wall() -> None:
         assert area == pytest.approx(np.pi * 0.15**2 / cosine, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_board_throws_its_shadow_on_the_wall() -> None:
     """Parallel light: the shadow of a board parallel to the wall is as large as the board, wherever it falls."""
     camera = Camera.from_fov(320, 240, 1.2)

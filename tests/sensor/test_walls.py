@@ -138,6 +138,7 @@ def test_poisson_counts_of_eight_taps(electrons: float, contrast: float, read_no
     assert fit.parameters["amplitude_per_electron"].value == pytest.approx(unit, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_fitted_camera_has_the_noise_that_was_measured() -> None:
     """The circle closes: simulated with what was fitted, walls have the sigma that they had, wiggling and all."""
     truth = use_case(1).model_copy(update={"signal_e_per_s": 2.5e6, "read_noise_e": 9.0})

@@ -194,6 +194,7 @@ def test_the_checksum_is_that_of_the_lines_before_it(dataset_folder: Path) -> No
     assert lines[-1] == f"checksum: {checksum(''.join(lines[:-1]))}\n"
 
 
+@pytest.mark.slow
 def test_every_file_of_a_part_is_compared(dataset_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of each file, the numbers of the frames among them, a byte that differs is found by `info --verify`."""
     folder = tmp_path / "copy"

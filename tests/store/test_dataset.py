@@ -145,6 +145,7 @@ def test_depth_ticks(depth: np.ndarray) -> None:
     assert (ticks[~(depth > 0.4e-4) | ~(depth < 6.5536)] == 0).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_values_survive(data: st.DataObject, spheres: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> None:

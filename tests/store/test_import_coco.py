@@ -266,6 +266,7 @@ def test_a_list_is_no_coco_file(tmp_path: Path) -> None:
         imported(path, tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_memory_follows_the_people_and_not_the_file(tmp_path: Path) -> None:
     """8 MB of annotations that are left out (boxes without keypoints) take next to none."""
     import tracemalloc

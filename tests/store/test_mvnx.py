@@ -257,6 +257,7 @@ def test_what_precedes_the_damage_is_read(tmp_path: Path) -> None:
     assert 80 < len(poses) < 120
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
     peaks = []
     for frames in (60, 600):

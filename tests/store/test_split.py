@@ -173,6 +173,7 @@ people = st.lists(st.sampled_from(["S01", "S02", "S03", "S04"]), min_size=1, max
 selections = st.fixed_dictionaries({}, optional={"car": values, "subject": people}).filter(bool)
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.sampled_from("abc"), selections, min_size=2))
 def test_accepted_splits_share_no_frame(dataset_folder: Path, data: dict[str, dict[str, list[str]]]) -> None:
     dataset = open_dataset(dataset_folder)

@@ -624,6 +624,7 @@ def room(own_car: Path, tmp_path: Path) -> Iterator[SceneRoom]:
     made.stop()
 
 
+@pytest.mark.slow
 def test_own_car_is_offered_shown_and_loaded_anew(room: SceneRoom) -> None:
     editor = room.editor
     assert editor.car_files() == ["mine.yaml"]

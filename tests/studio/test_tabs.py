@@ -683,6 +683,7 @@ def test_a_camera_is_set_up_in_its_panel(extension: Callable[..., None]) -> None
     used(Workspace(), steps)
 
 
+@pytest.mark.slow
 def test_a_start_that_fails_leaves_its_reason_and_no_picture(dataset_folder: Path, tmp_path: Path) -> None:
     """And what is open stands in the settings of the source that takes it; what is seen is recorded line by line."""
     (tmp_path / "scene.yaml").write_text("scene:\n  cars: [suv]\n")

@@ -81,6 +81,7 @@ def test_a_straight_way_takes_the_time_of_its_slowest_joint() -> None:
     assert duration(way_through(states), 0.5) == pytest.approx(2.0 * seconds)
 
 
+@pytest.mark.slow
 def test_no_joint_is_faster_than_people_are(film) -> None:
     """Elbows and knees by the angle between their bones, heads by their turn, from poses at thrice the rate alone."""
     step = 1.0 / (CHECKS_PER_FRAME * RATE)
@@ -205,6 +206,7 @@ def test_eyes_are_where_the_head_will_be(film) -> None:
     assert turned > 1e-3
 
 
+@pytest.mark.slow
 def test_a_neighbour_is_hit_by_who_has_one() -> None:
     """Only where somebody sits at the inboard hand; the hand comes to the skin of the other's arm."""
     film = _sampler(activities=["hit"])._films.film(0)
@@ -344,6 +346,7 @@ def test_hands_stay_on_the_wheel_that_turns(film) -> None:
     assert turned > np.radians(3.0)
 
 
+@pytest.mark.slow
 def test_wheels_of_sequences_begin_no_farther_turned_than_they_are_steered() -> None:
     for seed in range(4):
         sampler = SceneSampler(small_config(occupancy={"driver": 1.0}, sequence={"frames": 2, "rate_hz": RATE}), seed)
@@ -526,6 +529,7 @@ def test_who_eats_brings_food_to_the_mouth_and_back() -> None:
     assert np.diff(bites).max() > 5  # at least two, apart
 
 
+@pytest.mark.slow
 def test_hands_open_before_they_leave_the_wheel_and_close_once_they_are_there() -> None:
     """Fingers of a hand that leaves the rim are open before the arm moves, and no way swings beyond its poses."""
     states = np.zeros((3, WIDTH))

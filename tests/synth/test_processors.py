@@ -64,6 +64,7 @@ def test_a_dataset_is_the_same_bytes_on_every_processor(scene: str, tmp_path: Pa
         assert there == here, processor
 
 
+@pytest.mark.slow
 def test_poses_are_the_same_bits_on_every_processor() -> None:
     told = []
     for processor in ({}, PROCESSORS[3]):

@@ -258,6 +258,7 @@ def styled(out: Path, workers: int, **settings: object) -> GenerationReport:
     return generate(config, 2, out, seed=7, workers=workers)
 
 
+@pytest.mark.slow
 def test_styled_datasets_are_the_same_bytes_and_change_nothing_else(
     plain: Path, model: tuple[Path, StyleReport], tmp_path: Path
 ) -> None:

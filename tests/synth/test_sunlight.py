@@ -170,6 +170,7 @@ def test_frames_in_the_sun_differ_only_where_light_falls() -> None:
     assert scene.cabin is not None
 
 
+@pytest.mark.slow
 def test_pictures_have_the_same_sun() -> None:
     """Its direction, and of white ground the radiance that sun and sky give beside the camera's own light."""
     sun = Sun(70.0, 35.0, True, 30.0)

@@ -79,6 +79,7 @@ def test_a_child_sits_on_the_cushion_and_in_nothing(kind: str, slot: str) -> Non
     assert -0.028 < under.min() < 0.002  # on the padding, or pressed into it
 
 
+@pytest.mark.slow
 def test_shins_hang_clear_of_the_front_of_a_child_seat_and_most_poses_hold() -> None:
     """Of a toddler and of a child on a booster; with shins straight below the knees half of the poses were refused."""
     seats = {"rear_left": "toddler", "rear_right": "booster"}

@@ -61,6 +61,7 @@ def crowded() -> list[Scene]:
     return scenes(60, clutter=10.0)
 
 
+@pytest.mark.slow
 def test_nothing_that_lies_about_is_in_anybody_or_near(crowded: list[Scene]) -> None:
     """Exact, of the dressed surfaces: no triangle of either is nearer than a hand's breadth less what clothes take."""
     kinds: Counter[str] = Counter()
@@ -85,6 +86,7 @@ def test_nothing_that_lies_about_is_in_anybody_or_near(crowded: list[Scene]) -> 
     assert sum(kinds.values()) > 120
 
 
+@pytest.mark.slow
 def test_things_lie_on_what_carries_them(crowded: list[Scene]) -> None:
     checked = 0
     for scene in crowded[:25]:

@@ -119,6 +119,7 @@ def test_who_is_not_belted_has_no_harness_on() -> None:
     assert len(infant.surfaces) == 1
 
 
+@pytest.mark.slow
 def test_the_share_of_unbuckled_harnesses_is_that_of_belts() -> None:
     worn = [child.belt for child in children("toddler", 60, belted=0.5, motion={"rear_left": {"rest_lap": 1.0}})]
     assert set(worn) == {"harness", "none"}
