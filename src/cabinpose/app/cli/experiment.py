@@ -142,13 +142,13 @@ def _run(command: RunExperiment) -> None:
     refuse_other(folder, asked)
     cells = plan.chosen(command.only)
     missing = [cell for cell in cells if not cell.done]
-    with progress(len(cells), "cells", start=len(cells) - len(missing)) as shown:
-        done = len(cells) - len(missing)
+    there = [cell for cell in cells if cell.done]
+    with progress(_expected_s(cells), "s of work", start=_expected_s(there)) as shown:
 
         def told(cell: ExperimentCell, record: dict[str, Any]) -> None:
-            nonlocal done
-            done += 1
-            shown(done, f"{cell.name} made in {record['cpu_s']:.0f} CPU s")
+            there.append(cell)
+            count = f"{len(there)} of {len(cells)} cells"
+            shown(_expected_s(there), f"{count}, {cell.name} made in {record['cpu_s']:.0f} CPU s")
 
         datasets = [cell for cell in missing if isinstance(cell, DataCell)]
         make_cells(datasets, workers, told)
@@ -165,6 +165,11 @@ def _run(command: RunExperiment) -> None:
     if told_stale := stale(plan):
         print(told_stale, file=sys.stderr)
     print(f"{len(missing)} of {len(cells)} cells made now; open {folder / 'index.html'}", file=sys.stderr)
+
+
+def _expected_s(cells: Sequence[ExperimentCell]) -> int:
+    """The CPU seconds that some cells should take: a test is no training."""
+    return round(sum(cell.expected_s for cell in cells))
 
 
 def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[ExperimentPlan, dict[str, object]]:

@@ -27,8 +27,9 @@ from cabinpose.estimate import METHODS, TrainConfig
 from cabinpose.evaluate import ALL, ModelErrors
 from cabinpose.store import validated
 
-FRAME_S = 0.1  # CPU seconds that a generated frame is expected to take, and one that a model answers for
+FRAME_S = 0.1  # CPU seconds that a generated frame is expected to take
 RECORDED_S = 0.25  # and one that the virtual laboratory records
+JUDGED_S = 0.02  # and one that a model answers for
 _NAMES = 5  # of people in a message
 _ITS_VALIDATION = "its validation", "may_share: [subject] in the training"
 
@@ -211,7 +212,7 @@ class _Planner:
         key = digest(facts)
         told, frames = f"{trained.name} on {name}", sum(s.frames for s in sources)
         return TestCell(
-            told, key, self._out / "tested" / key, (trained.key, *_made(sources)), frames * FRAME_S, trained, sources, slots
+            told, key, self._out / "tested" / key, (trained.key, *_made(sources)), frames * JUDGED_S, trained, sources, slots
         )
 
     def _train(
