@@ -125,6 +125,12 @@ def test_a_dataset_is_like_another_but_for_its_own_keys(write: Write, tmp_path: 
         load(write({"data": data | {"both": {"like": "last"}}}))
 
 
+def test_a_folder_takes_the_place_of_all_of_a_stand_in(write: Write, tmp_path: Path) -> None:
+    write()
+    (tmp_path / "own.yaml").write_text("extends: small\ndata: {real: {folder: ours}}\n")
+    assert load(tmp_path / "own.yaml").data["real"] == Data(folder=tmp_path / "ours")
+
+
 def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
     for name in packaged():
         cells = [cells[0] for cells in planned(name, "small", tmp_path).trained.values()]
@@ -180,7 +186,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "too few frames": (
         {"trainings": {"R1": {"train": [{"data": "real", "subject": ["P1"], "frames": 5}]}}},
-        "training R1: 5 frames of real are asked for, and the selection has 4", "ask for at most 4",
+        "training R1: 5 frames of real are asked for at this scale, and the selection has 4", "ask for at most 4",
     ),
     "too few frames to learn from and to validate on": (
         {"trainings": {"R1": {"validation": [{"data": "real", "subject": ["P1"], "frames": 1}], "may_share": ["subject"]}}},
@@ -190,7 +196,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         {"trainings": {"R1": {"train": [{"data": "reel"}]}}}, "unknown dataset 'reel'", "did you mean real?",
     ),
     "an unknown subject": (
-        {"tests": {"T": {"frames": [{"data": "real", "subject": ["P4"]}]}}}, "test T: unknown subject 'P4'", "known: P1, P2, P3",
+        {"tests": {"T": {"frames": [{"data": "real", "subject": ["P4"]}]}}},
+        "test T, data real: unknown subject 'P4'", "known: P1, P2, P3",
     ),
     "an unknown test": ({"columns": [{"title": "A", "test": "U"}], "published": None}, "unknown test 'U'", "known: T"),
     "an unknown column": ({"published": {"R1": {"PCK": 1.0}}}, "unknown column 'PCK'", "PCKh@0.5"),
@@ -225,6 +232,12 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "a threshold of what has none": (
         {"columns": [{"title": "A", "test": "T", "measure": "auc", "threshold": 0.2}], "published": None},
         "column A: auc has no threshold", "leave threshold out",
+    ),
+    "no numbers of its own": (
+        {"scales": {"paper": None, "small": {"epochs": 2}}}, "scales has no `paper`", "paper: {epochs: 20}",
+    ),
+    "a dataset of a row that there is not": (
+        {"trainings": {"R1": {"train": [{"data": "rael"}]}}}, "training R1: unknown dataset 'rael'", "real",
     ),
     "extends what is no file": ({"extends": 5}, "extends: 5 names no file", "write extends: other"),
     "people that are none": (
@@ -350,7 +363,7 @@ def test_a_stand_in_may_be_recorded_in_the_laboratory(write: Write, tmp_path: Pa
     other["data"]["real"]["lab"]["rig"]["suit_errors"]["length_error"] = 0.01
     assert make_plan(load(write(other)), "paper", tmp_path, {}).data["real"][0].key != piece.key
     too_many = _in_the_laboratory() | {"tests": {"T": {"frames": [{"data": "real", "subject": ["P3"], "frames": 4}]}}}
-    with pytest.raises(ConfigError, match="4 frames of real are asked for, and the selection has 3"):
+    with pytest.raises(ConfigError, match="4 frames of real are asked for at this scale, and the selection has 3"):
         make_plan(load(write(too_many)), "paper", tmp_path, {})
 
 

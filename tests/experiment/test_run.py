@@ -20,17 +20,19 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import torch
+import xarray as xr
 from distributed import LocalCluster
 
 from cabinpose.app.experiment.cells import ExperimentCell, _sides
 from cabinpose.app.experiment.config import load
+from cabinpose.app.experiment.frames import opened
 from cabinpose.app.experiment.page import refuse_other
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
-from cabinpose.app.experiment.results import Results, cell_text, differences_csv, first_differences
+from cabinpose.app.experiment.results import Results, _ErrorsRead, cell_text, differences_csv, first_differences
 from cabinpose.app.experiment.schedule import _spread, make_cells
 from cabinpose.app.report import raster
 from cabinpose.app.training import stored_frames
-from cabinpose.core.errors import ConfigError
+from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate import TrainConfig, frame_spec
 from cabinpose.estimate.batch import NOT_LABELLED
 from cabinpose.evaluate import OverRepeats, RowDifference
@@ -60,7 +62,7 @@ def test_what_is_not_sure_of_a_difference_stands_in_parentheses(write: Write, tm
         ("B", "C"): RowDifference(0, 0, 0),
     }
     pairs = away | {(b, a): RowDifference(-d.value, -d.high, -d.low) for (a, b), d in away.items()}
-    results = Results({}, {}, {}, {}, {}, {"PCKh@0.5": pairs, "error cm": pairs})
+    results = Results({}, {}, {}, {}, {}, {"PCKh@0.5": pairs, "error cm": pairs}, {})
     ((title, rows),) = first_differences(plan_of(write, tmp_path), results)
     assert title == "PCKh@0.5"
     assert rows[0] == ["", "A", "B", "C"]
@@ -153,6 +155,10 @@ def test_a_kill_loses_the_epoch_under_way_at_most(
     whole = torch.load(last, weights_only=False)["epoch"] + 1
     assert whole >= 1
     assert not last.with_name("cell.json").exists()
+    shown = run("experiment", "report", tmp_path / "killed" / "small" / "paper")
+    assert (shown.code, "1 of 5 cells are not made" in shown.out or "2 of 5 cells are not made" in shown.out) == (0, True), (
+        shown.err
+    )
     for name in ("data", "made"):
         shutil.copytree(tmp_path / "killed" / name, tmp_path / "undisturbed" / name)
     monkeypatch.setattr(raster, "write_curves", lambda *_: drawn.append(1))  # once an epoch
@@ -173,6 +179,40 @@ def test_a_kill_loses_the_epoch_under_way_at_most(
 
 def metrics(out: Path) -> list[Path]:
     return list(out.glob("trained/*/log/metrics.csv"))
+
+
+TEST_FRAMES: dict[str, tuple[Callable[[xr.Dataset], xr.Dataset], str, str]] = {
+    "no amplitude": (lambda data: data.drop_vars("amplitude"), "has no amplitude", "amplitude: false"),
+    "no joints": (lambda data: data.assign(visibility=0 * data["visibility"]), "nobody whose joints are known", ""),
+    "no place": (
+        lambda data: data.assign_coords(person=["rear_left", *data["person"].values[1:]]),
+        "has no place driver",
+        "slots",
+    ),
+}
+
+
+def test_frames_of_a_test_that_cannot_be_judged_are_refused_before_training(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make_plan(load(write()), "paper", tmp_path / "out", {})
+    make_cells(made.made, 1, lambda *_: None)
+    made.check_frames(made.cells)
+    for changed, error, hint in TEST_FRAMES.values():
+
+        def of_test(part: Any, drawn: Any, settings: Any, changed: Any = changed) -> dict[str, xr.Dataset]:
+            found = opened(part, drawn, settings)
+            return {name: changed(data) for name, data in found.items()} if part.subject == ("P3",) else found
+
+        monkeypatch.setattr("cabinpose.app.experiment.plan.opened", of_test)
+        with pytest.raises(DatasetError, match=f"^test T: real/P3: .*{error}") as raised:
+            made.check_frames(made.cells)
+        assert hint in str(raised.value.hint)
+
+
+def test_numbers_are_of_the_repeats_that_are_there() -> None:
+    cells: Any = [SimpleNamespace(key=key, done=key != "b", errors=lambda key=key: key) for key in "abc"]
+    assert list(_ErrorsRead().runs(cells)) == ["a", "c"]
 
 
 @pytest.mark.slow
@@ -255,7 +295,7 @@ def test_draws_are_the_same_nested_and_apart(write: Write, tmp_path: Path) -> No
     assert set(few[0]) < set(more[0])
     assert few[1] == more[1]
     assert sorted(more[0] + more[1]) == [0, 1, 2, 3]
-    with pytest.raises(ConfigError, match="4 frames of real are asked for, and the selection has 3"):
+    with pytest.raises(ConfigError, match="4 frames of real are asked for at this scale, and the selection has 3"):
         drawn(4, 1)
 
 

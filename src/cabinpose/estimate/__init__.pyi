@@ -5,6 +5,7 @@ from .data import GeneratedFrames as GeneratedFrames
 from .data import StoredFrames as StoredFrames
 from .data import fits_memory as fits_memory
 from .data import joined as joined
+from .data import slot_rows as slot_rows
 from .expected_error import FEWEST as FEWEST
 from .expected_error import METADATA_KEY as METADATA_KEY
 from .expected_error import cues as cues

@@ -172,8 +172,11 @@ _WITHOUT = {  # what to do about an image that the dataset does not have
 }
 
 
-def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
-    """Rows of the dataset's `person` that hold the places of a spec. Raises DatasetError where something does not fit."""
+def slot_rows(dataset: xr.Dataset, spec: FrameSpec, *, learnt: bool = True) -> list[int]:
+    """Rows of the dataset's `person` that hold the places of a spec. Raises DatasetError where something does not fit.
+
+    learnt: methods learn from joints in space; to be judged by, joints in the image are enough.
+    """
     if not dataset.sizes["frame"]:
         raise DatasetError("there is no frame to train on", hint="look at the splits, and at `cabinpose info`")
     persons = [str(name) for name in dataset["person"].values]
@@ -198,8 +201,8 @@ def slot_rows(dataset: xr.Dataset, spec: FrameSpec) -> list[int]:
     if len(ids) and not set(spec.classes) & set(ids):
         raise DatasetError("the dataset's classes tell no parts of the body apart", hint="set classes: person")
     if not spec.labels and not dataset["visibility"].any():
-        raise DatasetError("the dataset has nobody whose joints are known", hint="unet learns from pixel classes alone")
-    if not spec.labels and not np.isfinite(dataset[name]).any():
+        raise DatasetError("the dataset has nobody whose joints are known", hint="unet does with pixel classes alone")
+    if learnt and not spec.labels and not np.isfinite(dataset[name]).any():
         raise DatasetError(
             f"no joint of the dataset has a place in space ({name} is unknown), which methods learn from",
             hint="labels of images get one by their depth: cabinpose import coco --lift",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,7 +16,7 @@ from cabinpose.app.extras import require
 from cabinpose.core import ConfigError, unknown_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from cabinpose.app.experiment.cells import ExperimentCell
     from cabinpose.app.experiment.plan import ExperimentPlan
@@ -128,7 +129,7 @@ def _run(command: RunExperiment) -> None:
     import os
 
     from cabinpose.app.experiment.cells import DataCell, code_state
-    from cabinpose.app.experiment.page import is_written, refuse_other, stale, write_results
+    from cabinpose.app.experiment.page import begin, is_written, refuse_other, stale, write_results
     from cabinpose.app.experiment.results import results_of
     from cabinpose.app.experiment.schedule import make_cells
 
@@ -143,7 +144,8 @@ def _run(command: RunExperiment) -> None:
     cells = plan.chosen(command.only)
     missing = [cell for cell in cells if not cell.done]
     there = [cell for cell in cells if cell.done]
-    with progress(_expected_s(cells), "s of work", start=_expected_s(there)) as shown:
+    asked |= {"code": code_state(), "resamples": command.resamples}
+    with _going_on(folder), progress(_expected_s(cells), "s of work", start=_expected_s(there)) as shown:
 
         def told(cell: ExperimentCell, record: dict[str, Any]) -> None:
             there.append(cell)
@@ -154,8 +156,9 @@ def _run(command: RunExperiment) -> None:
         make_cells(datasets, workers, told)
         if missing:
             plan.check_frames(cells)
+            begin(folder, asked)
         make_cells([cell for cell in missing if not isinstance(cell, DataCell)], workers, told)
-    asked |= {"code": code_state(), "resamples": command.resamples, "made": [cell.key for cell in plan.cells if cell.done]}
+    asked["made"] = [cell.key for cell in plan.cells if cell.done]
     if missing or not is_written(folder, asked):
         write_results(folder, plan, results_of(plan, command.resamples), asked)
     if command.as_json:
@@ -165,6 +168,17 @@ def _run(command: RunExperiment) -> None:
     if told_stale := stale(plan):
         print(told_stale, file=sys.stderr)
     print(f"{len(missing)} of {len(cells)} cells made now; open {folder / 'index.html'}", file=sys.stderr)
+
+
+@contextmanager
+def _going_on(folder: Path) -> Iterator[None]:
+    """Tell who ends a run early that nothing is lost."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        shown = f", and `cabinpose experiment report {folder}` shows it" if folder.exists() else ""
+        print(f"what is made stays: the same command goes on{shown}", file=sys.stderr)
+        raise
 
 
 def _expected_s(cells: Sequence[ExperimentCell]) -> int:

@@ -205,13 +205,18 @@ class Experiment(Keys):
         _apart("columns", titles)
         _apart("curves", [curve.title for curve in self.curves])
         _apart("tests", list(self.tests))
-        for part in self.parts:
-            _known("dataset", part.data, self.data)
+        for name, row in self.trainings.items():
+            sides: list[Training | FineTuning] = [row, *([row.fine_tune] if row.fine_tune else [])]
+            for part in (part for each in sides for part in (*each.train, *each.validation)):
+                _known("dataset", part.data, self.data, f"training {name}")
+        for name, test in self.tests.items():
+            for part in test.frames:
+                _known("dataset", part.data, self.data, f"test {name}")
         for column in self.columns:
-            _known("test", column.test, self.tests)
+            _known("test", column.test, self.tests, f"column {column.title}")
         for curve in self.curves:
-            _known("column", curve.column, titles)
-            _known("dataset", curve.over, self.data)
+            _known("column", curve.column, titles, f"curve {curve.title}")
+            _known("dataset", curve.over, self.data, f"curve {curve.title}")
             for name in (name for line in curve.lines.values() for name in line):
                 _known("training", name, self.trainings)
         for name in (name for test in self.tests.values() for name in test.trainings):
@@ -219,11 +224,12 @@ class Experiment(Keys):
         judged = {name for test in self.tests.values() for name in test.trainings or self.trainings}
         if idle := [name for name in self.trainings if name not in judged]:
             raise ConfigError(f"no test judges training {idle[0]}", hint="name it in `trainings` of a test, or leave it out")
-        for name, row in self.published.items():
+        for name, figures in self.published.items():
             _known("training", name, self.trainings)
-            for title in row:
+            for title in figures:
                 _known("column", title, titles)
-        _known("scale", "paper", self.scales)
+        if "paper" not in self.scales:
+            raise ConfigError("scales has no `paper`, of the file's own numbers", hint="add it: paper: {epochs: 20}")
         return self
 
     @property
@@ -281,9 +287,10 @@ def _apart(kind: str, names: list[str]) -> None:
         told[key] = name
 
 
-def _known(kind: str, name: str, names: Any) -> None:
+def _known(kind: str, name: str, names: Any, where: str = "") -> None:
     if name not in names:
-        raise unknown_name(kind, name, list(names))
+        error = unknown_name(kind, name, list(names))
+        raise ConfigError(f"{where}: {error}" if where else str(error), hint=error.hint)
 
 
 def packaged() -> dict[str, Path]:
@@ -339,6 +346,10 @@ def _mapping(path: Path, depth: int) -> dict[str, Any]:
     for base in [bases] if isinstance(bases, str) else bases:
         beside = path.parent / (base if base.endswith((".yaml", ".yml")) else f"{base}.yaml")
         whole = merged(whole, _mapping(beside if beside.exists() else find(base), depth - 1))
+    before = whole.get("data")
+    for name, each in data.get("data", {}).items() if isinstance(data.get("data"), dict) else ():
+        if isinstance(each, dict) and "folder" in each and isinstance(before, dict):
+            before.pop(name, None)  # nothing of a stand-in is true of the folder in its place
     return merged(whole, data)
 
 

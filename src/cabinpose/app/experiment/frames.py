@@ -36,6 +36,7 @@ from cabinpose.synth import CabinScene, SequenceConfig, SynthConfig, is_random_c
 
 Identity = tuple[str, int | None]
 """A person, or a car, by name; with the seed of their dataset where it drew them at random."""
+_OTHERS = "a file that `extends` this one selects others"  # for whom a folder in place of a stand-in lacks
 _ROOM = "room_"  # the names of rooms, which are drawn at random, begin so
 
 
@@ -316,17 +317,19 @@ def check_subjects(source: SelectedFrames, where: str) -> None:
         for name in wanted:
             if name not in there:
                 error = unknown_name(kind, name, sorted(there))
-                raise ConfigError(f"{where}: {error}", hint=error.hint)
+                hint = error.hint if any(p.config for p in source.pieces) else f"{error.hint}; {_OTHERS}"
+                raise ConfigError(f"{where}, data {source.part.data}: {error}", hint=hint)
     if not any(piece.config for piece in source.pieces):
         _refuse_unknown([open_dataset(piece.folder) for piece in source.pieces], source.part, where)
     if source.part.frames is not None and source.part.frames > source.most:
-        raise _too_few(where, source.part, source.most)
+        raise _too_few(where, source.part, source.most, made=any(piece.config for piece in source.pieces))
 
 
-def _too_few(where: str, part: FrameSelection, there: int) -> ConfigError:
+def _too_few(where: str, part: FrameSelection, there: int, *, made: bool) -> ConfigError:
+    more = f", or make more with data.{part.data}.frames" if made else ""
     return ConfigError(
-        f"{where}: {part.frames} frames of {part.data} are asked for, and the selection has {there}",
-        hint=f"ask for at most {there}, select more of it, or make more with data.{part.data}.frames",
+        f"{where}: {part.frames} frames of {part.data} are asked for at this scale, and the selection has {there}",
+        hint=f"ask for at most {there}, or select more of it{more}",
     )
 
 
@@ -378,7 +381,7 @@ def draw(
             f"{where}: no frame of {source.part.data} is left", hint="look at the selection, and at `cabinpose info`"
         )
     if source.part.frames is not None and len(at) < source.part.frames:
-        raise _too_few(where, source.part, len(at))
+        raise _too_few(where, source.part, len(at), made=any(piece.config for piece in source.pieces))
     rng = draw_rng()
     order = rng.permutation(len(at))
     if whole_sequences:

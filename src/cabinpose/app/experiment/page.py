@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from cabinpose import __version__
 from cabinpose.app.experiment.cells import code_state
-from cabinpose.app.experiment.config import file_name
+from cabinpose.app.experiment.config import file_name, merged
 from cabinpose.app.experiment.examples import RULE, ShownFrames, shown_frames
 from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
 from cabinpose.app.experiment.results import (
@@ -27,7 +28,7 @@ from cabinpose.app.finite import finite
 from cabinpose.app.report.charts import ValueScale, charts, legend, series_chart
 from cabinpose.app.report.html import Html, document, el, figure, join, remark, section, table, with_small
 from cabinpose.app.report.raster import curves_chart, write_grid, write_png, write_svg
-from cabinpose.core import ConfigError, make_folder, write_together
+from cabinpose.core import ConfigError, make_folder, write_together, write_whole
 
 PLAN = "experiment.json"
 _INTERVALS = (
@@ -49,14 +50,16 @@ _LOSSES = ("training loss", "validation loss")
 def write_results(folder: Path, plan: ExperimentPlan, results: Results, asked: dict[str, object]) -> None:
     """Write index.html, table.md, table.csv, report.json, pictures, and what was asked for, with which the page is made again."""
     make_folder(folder)
-    rows, shown = table_rows(plan, results), shown_frames(plan, results)
+    rows, shown, protocol = table_rows(plan, results), shown_frames(plan, results), _protocol(plan, results, asked)
     numbers = {f"{row}: {title}": None if n is None else n._asdict() for (row, title), n in results.numbers.items()}
+    found = {f"{row}: {title}": share for (row, title), share in results.found.items()}
+    report = {"title": plan.experiment.title, "protocol": protocol, "numbers": numbers, "found": found}
     files = {
-        "index.html": page_html(plan, results, shown),
-        "table.md": markdown(plan, results, rows),
+        "index.html": page_html(plan, results, shown, protocol),
+        "table.md": markdown(plan, results, rows, protocol),
         "table.csv": csv_text(plan, results),
         "differences.csv": differences_csv(results),
-        "report.json": json.dumps(finite({"title": plan.experiment.title, "numbers": numbers}), allow_nan=False, indent=1) + "\n",
+        "report.json": json.dumps(finite(report), allow_nan=False, indent=1) + "\n",
         PLAN: _asked_text(asked),
     }
     write_together(folder, files)
@@ -88,6 +91,13 @@ def is_written(folder: Path, asked: dict[str, object]) -> bool:
 
 def _asked_text(asked: Mapping[str, object]) -> str:
     return json.dumps(asked, indent=1) + "\n"
+
+
+def begin(folder: Path, asked: Mapping[str, object]) -> None:
+    """Write what is asked for where there is no page yet, so that `report` makes that of a run which never ended."""
+    if not (folder / PLAN).exists():
+        make_folder(folder)
+        write_whole(folder / PLAN, _asked_text(asked))
 
 
 def refuse_other(folder: Path, asked: Mapping[str, object]) -> None:
@@ -130,13 +140,34 @@ def remarks(plan: ExperimentPlan) -> list[str]:
     told += [f"{name} is {other} at this scale" for name, other in same_cells(first).items()]
     if another := stale(plan):
         told.append(another)
+    for pair, cells in plan.tested.items():
+        if 0 < (done := sum(cell.done for cell in cells)) < len(cells):
+            told.append(f"{' on '.join(pair)}: over {done} of {len(cells)} repeats, the others are not made")
     missing = sum(not cell.done for cell in plan.cells)
     if missing:
         told.append(f"{missing} of {len(plan.cells)} cells are not made: their numbers are missing")
     return told
 
 
-def page_html(plan: ExperimentPlan, results: Results, shown: ShownFrames) -> str:
+def _protocol(plan: ExperimentPlan, results: Results, asked: Mapping[str, object]) -> list[str]:
+    """How the numbers came about, beside the rows' frames."""
+    scale, cells = plan.scale, [cells[0] for cells in plan.trained.values()]
+    recipe = merged(plan.experiment.recipe, scale.recipe)
+    steps = f"{scale.steps} batches" if scale.steps else "whole passes"
+    tested = [f"test {test}: {what}" for test, what in results.judged.items()]
+    least = (
+        f", of those to validate and to test on no fewer than {scale.least}" if scale.frames != 1.0 and scale.least > 1 else ""
+    )
+    return [
+        f"scale {asked['scale']}: frames of the file times {scale.frames:g}{least}",
+        f"each training: {steps} in {cells[0].recipe['epochs']} epochs, {scale.repeats} repeats with seeds from 1",
+        *tested,
+        f"recipe, but for what rows change: {json.dumps(recipe)}",
+        f"{asked['resamples']} resamples; cabinpose {__version__}, code {asked['code']}",
+    ]
+
+
+def page_html(plan: ExperimentPlan, results: Results, shown: ShownFrames, protocol: Iterable[str]) -> str:
     """The page."""
     experiment = plan.experiment
     notes = join(el("p", el("b", told)) for told in remarks(plan))
@@ -148,15 +179,17 @@ def page_html(plan: ExperimentPlan, results: Results, shown: ShownFrames) -> str
         section("Frames of the tests", _frames_shown(shown), RULE),
         section("Over numbers of frames", _over_frames(results)),
         section("Training", _losses(plan), "Training loss, blue, and validation loss, red, of the first repeat."),
+        section("How it was measured", join(el("p", line) for line in protocol)),
         section("Frames", table(_frame_rows(plan))),
         section("What the cells took", table(cost_rows(plan), words=(0, 4))),
     ]
     return document(experiment.title, experiment.title, experiment.source, sections)
 
 
-def markdown(plan: ExperimentPlan, results: Results, rows: Sequence[Sequence[str]]) -> str:
+def markdown(plan: ExperimentPlan, results: Results, rows: Sequence[Sequence[str]], protocol: Iterable[str]) -> str:
     """The tables as Markdown, below what is to be known before them."""
-    lines = [f"# {plan.experiment.title}", "", *(f"- {told}" for told in remarks(plan)), "", *_pipes(rows)]
+    told = [*remarks(plan), *protocol]
+    lines = [f"# {plan.experiment.title}", "", *(f"- {line}" for line in told), "", *_pipes(rows)]
     for title, apart in first_differences(plan, results):
         lines += ["", f"## Differences of {title}", "", *_pipes(apart)]
     return "\n".join(lines) + "\n"

@@ -22,6 +22,7 @@ from cabinpose.app.experiment.frames import (
     pieces_of,
     wanted_frames,
 )
+from cabinpose.app.training_split import said_of
 from cabinpose.core import CABINPOSE, ConfigError, unknown_name
 from cabinpose.estimate import METHODS, TrainConfig
 from cabinpose.evaluate import ALL, ModelErrors
@@ -101,20 +102,20 @@ class ExperimentPlan:
             if cell is None:
                 continue
             trained = [cell.trained, *filter(None, [cell.trained.begins])]
-            if test not in seen:
-                seen[test] = _contents(cell.frames, cell.drawn(), cell.trained.settings)
+            there = _contents(cell.frames, cell.drawn(), cell.trained, f"test {test}", learnt=False)
+            seen.setdefault(test, there)
             for each in trained:
                 if each.key not in seen:
                     learnt, judged = (
-                        _contents(sources, drawn, each.settings)
+                        _contents(sources, drawn, each, f"training {each.name}")
                         for sources, drawn in zip((each.train, each.validation), each.drawn(), strict=True)
                     )
                     if "subject" not in self.experiment.trainings[row].may_share:
                         _refuse_shared("subject", learnt["subject"] & judged["subject"], f"training {row}", *_ITS_VALIDATION)
                     seen[each.key] = {kind: learnt[kind] | judged[kind] for kind in learnt}
-                for kind, there in seen[test].items():
+                for kind, shown in seen[test].items():
                     if kind not in self.experiment.tests[test].may_share:
-                        _refuse_shared(kind, there & seen[each.key][kind], f"test {test}", f"training {row}")
+                        _refuse_shared(kind, shown & seen[each.key][kind], f"test {test}", f"training {row}")
 
 
 def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping[str, Path]) -> ExperimentPlan:
@@ -271,10 +272,17 @@ class _Planner:
                 check_subjects(whole, f"{where} and its validation")
 
 
-def _contents(sources: Iterable[SelectedFrames], drawn: Sequence[Drawn], settings: Any) -> dict[str, set[Any]]:
-    """What is in the frames of some parts, which can be opened as these say."""
+def _contents(
+    sources: Iterable[SelectedFrames], drawn: Sequence[Drawn], cell: TrainCell, where: str, *, learnt: bool = True
+) -> dict[str, set[Any]]:
+    """What is in the frames of some parts, which can be opened as these say and have what the method of a training reads."""
+    from cabinpose.estimate import frame_spec, slot_rows  # noqa: PLC0415 - torch, whose seconds who only looks should not take
+
+    spec = frame_spec(TrainConfig.model_validate(cell.recipe))
     for source, frames in zip(sources, drawn, strict=True):
-        opened(source.part, frames, settings)
+        for name, dataset in opened(source.part, frames, cell.settings).items():
+            with said_of(f"{where}: {name}"):
+                slot_rows(dataset, spec, learnt=learnt)
     return contents(drawn)
 
 

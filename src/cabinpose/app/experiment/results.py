@@ -18,6 +18,7 @@ from cabinpose.core import CABINPOSE
 from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, RowDifference, accuracy_curve, over_repeats, row_differences
 
 _GRID = np.linspace(0.0, 1.0, 51)  # head sizes
+_RESUMED = "the last of several runs"
 _ANYWHERE = 1e30  # px or m: what was not found is infinitely far
 Lines = dict[str, tuple[list[float], list[float]]]
 """By name the xs and ys of lines."""
@@ -29,11 +30,11 @@ JudgedRuns = Sequence[tuple[ModelErrors, tuple[str, ...]]]
 class Results:
     """What is known of an experiment.
 
-    numbers: by training and title of the column, None where a cell is not there · found: of mean errors, per cent of the joints
-    that were found, over which they are · accuracy: by test, per cent of all joints
+    numbers: by training and title of the column, over the repeats that are there, None without any · found: of mean errors, per
+    cent of the joints that were found, over which they are · accuracy: by test, per cent of all joints
     within each part of the head size, by training · by_joint: the same by test and training, by group of joints · curves: by
     title, over numbers of frames, of those that have a point · differences: by title of the column and two trainings whose cells
-    are there, the first less the second.
+    are there, the first less the second · judged: by test, what is judged on it.
     """
 
     numbers: Mapping[tuple[str, str], OverRepeats | None]
@@ -42,6 +43,7 @@ class Results:
     by_joint: Mapping[tuple[str, str], Lines]
     curves: Mapping[str, Lines]
     differences: Mapping[str, Mapping[tuple[str, str], RowDifference]]
+    judged: Mapping[str, str]
 
 
 def results_of(plan: ExperimentPlan, resamples: int) -> Results:
@@ -59,12 +61,14 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
         if column.measure == "mean_error"
         if (share := _number(known.runs(plan.tested.get((row, column.test), ())), _found(column), 0)) is not None
     }
-    accuracy, by_joint = {}, {}
+    accuracy, by_joint, judged_on = {}, {}, dict[str, str]()
     for test in experiment.tests:
         space = next((column.space for column in experiment.columns if column.test == test), "2d")
         lines: Lines = {}
         for row in experiment.trainings:
             read = known.runs(plan.tested.get((row, test), ()))
+            if read:
+                judged_on[test] = _judged_on(read[0][0])
             runs = [(errors, names) for errors, names in read if errors.error_px.size]
             if not runs:
                 continue
@@ -86,7 +90,12 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
     for column in experiment.columns:
         judged = {row: known.runs(plan.tested.get((row, column.test), ())) for row in experiment.trainings}
         differences[column.title] = _differences({row: runs for row, runs in judged.items() if runs}, column, resamples)
-    return Results(numbers, found, accuracy, by_joint, curves, differences)
+    return Results(numbers, found, accuracy, by_joint, curves, differences, judged_on)
+
+
+def _judged_on(errors: ModelErrors) -> str:
+    people = f", {len(errors.at)} people in them" if len(errors.at) else ""
+    return f"{errors.frames} frames{people}, drawn as {len(np.unique(errors.cluster))} sequences and single frames"
 
 
 def _mean_accuracy(runs: JudgedRuns, space: str, joints: Sequence[str] | None) -> tuple[list[float], list[float]]:
@@ -103,13 +112,12 @@ class _ErrorsRead:
         self._read: dict[str, tuple[ModelErrors, tuple[str, ...]]] = {}
 
     def runs(self, cells: Sequence[TestCell]) -> list[tuple[ModelErrors, tuple[str, ...]]]:
-        """Those of the repeats of a training; none where one of them is not there."""
-        if not all(cell.done for cell in cells):
-            return []
-        for cell in cells:
+        """Those of the repeats of a training that are there."""
+        done = [cell for cell in cells if cell.done]
+        for cell in done:
             if cell.key not in self._read:
                 self._read[cell.key] = cell.errors()
-        return [self._read[cell.key] for cell in cells]
+        return [self._read[cell.key] for cell in done]
 
 
 def _number(runs: JudgedRuns, column: TableColumn, resamples: int) -> OverRepeats | None:
@@ -256,6 +264,8 @@ def cost_rows(plan: ExperimentPlan) -> list[list[str]]:
             rows.append([cell.name, "–", "–", "–", "not made"])
             continue
         total += record["cpu_s"]
-        note = "the last of several runs" if record["resumed"] else ""
+        note = _RESUMED if record["resumed"] else ""
         rows.append([cell.name, f"{record['wall_s']:.1f}", f"{record['cpu_s']:.1f}", f"{record['cpu_s'] / 3600:.3f}", note])
-    return [*rows, ["all", "", f"{total:.1f}", f"{total / 3600:.3f}", ""]]
+    lacking = sum(row[-1] == _RESUMED for row in rows)
+    rest = f"without the earlier runs of {lacking}" if lacking else ""
+    return [*rows, ["all", "", f"{total:.1f}", f"{total / 3600:.3f}", rest]]
