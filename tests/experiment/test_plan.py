@@ -127,8 +127,11 @@ def test_a_dataset_is_like_another_but_for_its_own_keys(write: Write, tmp_path: 
 
 def test_a_folder_takes_the_place_of_all_of_a_stand_in(write: Write, tmp_path: Path) -> None:
     write()
-    (tmp_path / "own.yaml").write_text("extends: small\ndata: {real: {folder: ours}}\n")
-    assert load(tmp_path / "own.yaml").data["real"] == Data(folder=tmp_path / "ours")
+    rows = {"R1": None, "own": {"train": [{"data": "real"}], "validation": [{"data": "real"}]}}  # and R1's published figures
+    change = {"extends": "small", "data": {"real": {"folder": "ours"}}, "trainings": rows}
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(change))
+    found = load(tmp_path / "own.yaml")
+    assert (found.data["real"], list(found.trainings), found.published) == (Data(folder=tmp_path / "ours"), ["own"], {})
 
 
 def test_rows_of_a_table_take_the_same_steps(tmp_path: Path) -> None:
@@ -326,9 +329,11 @@ def test_a_changed_row_changes_its_own_cells_alone(write: Write, tmp_path: Path)
     assert {cell.name for cell in third.cells if cell.key not in {c.key for c in before.cells}} == {"R1", "R1 on T"}
 
 
-def test_the_page_has_a_file_of_ones_own_and_every_key() -> None:
+def test_the_page_has_files_of_ones_own_and_every_key(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "experiments.md").read_text()
-    block = page.partition("```yaml\n")[2].partition("```")[0]
+    changed, block, *_ = (each.partition("```")[0] for each in page.split("```yaml\n")[1:])
+    (tmp_path / "own.yaml").write_text(changed)
+    assert load(tmp_path / "own.yaml").data["real"] == Data(folder=tmp_path / "our-car")
     experiment = validated(Experiment, yaml.safe_load(block), None, hint="")
     assert experiment.trainings["tuned"].fine_tune is not None
     for keys in (Experiment, RunScale, Data, Training, JudgedFrames, TableColumn, Curve, FrameSelection):

@@ -334,7 +334,7 @@ def _as_like(name: str, data: Mapping[str, Any], before: tuple[str, ...]) -> Any
 def _mapping(path: Path, depth: int) -> dict[str, Any]:
     """What a file says, laid over what it extends; folders relative to it."""
     data = read_mapping(path, hint=HINT)
-    for each in data.get("data", {}).values() if isinstance(data.get("data"), dict) else ():
+    for each in _mapping_of(data, "data").values():
         if isinstance(each, dict) and isinstance(each.get("folder"), str):
             each["folder"] = str(path.absolute().parent / each["folder"])
     bases = data.pop("extends", None) or []
@@ -346,11 +346,19 @@ def _mapping(path: Path, depth: int) -> dict[str, Any]:
     for base in [bases] if isinstance(bases, str) else bases:
         beside = path.parent / (base if base.endswith((".yaml", ".yml")) else f"{base}.yaml")
         whole = merged(whole, _mapping(beside if beside.exists() else find(base), depth - 1))
-    before = whole.get("data")
-    for name, each in data.get("data", {}).items() if isinstance(data.get("data"), dict) else ():
-        if isinstance(each, dict) and "folder" in each and isinstance(before, dict):
-            before.pop(name, None)  # nothing of a stand-in is true of the folder in its place
+    for name, each in _mapping_of(data, "data").items():
+        if isinstance(each, dict) and "folder" in each:
+            _mapping_of(whole, "data").pop(name, None)  # nothing of a stand-in is true of the folder in its place
+    for name, row in _mapping_of(data, "trainings").items():
+        if row is None:
+            _mapping_of(whole, "published").pop(name, None)
     return merged(whole, data)
+
+
+def _mapping_of(data: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """A key that is a mapping where the file is right."""
+    found = data.get(key)
+    return found if isinstance(found, dict) else {}
 
 
 def merged(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
