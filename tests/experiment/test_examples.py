@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cabinpose.app.experiment.examples import BODY, GOOD, ONE_JOINT, chosen_frames
+from cabinpose.app.experiment.examples import BODY, GOOD, ONE_JOINT, chosen_frames, what_fails
 from cabinpose.evaluate.repeats import ModelErrors
 
 
@@ -34,6 +34,14 @@ ROWS = [
 def test_the_rule() -> None:
     for space in ("2d", "3d"):
         assert chosen_frames(made(ROWS), space) == {GOOD: [2, 0, 1], ONE_JOINT: [4, 3, 5], BODY: [7, 6]}
+
+
+def test_what_is_wrong_is_said() -> None:
+    told = [what_fails(made(ROWS), "abcd", position, "2d") for position in range(len(ROWS))]
+    assert told == [
+        "", "", "", "c 1.2 heads off", "b not found", "b 0.8 heads off", "b 2.0 heads off, a 2.0 heads off",
+        "c not found, b not found, a not found and 1 more", "",
+    ]  # fmt: skip
 
 
 def test_of_a_sequence_one_frame_and_of_frames_alike_the_first() -> None:

@@ -26,15 +26,14 @@ RULE = (
 )
 GOOD, ONE_JOINT, BODY = "good frames", "one joint fails", "a body fails"
 _RIGHT, _MISSED = 0.5, 3.0  # head sizes
-_SHOWN = 8
+_SHOWN, _TOLD = 8, 3
 ShownFrames = Mapping[tuple[str, str], Sequence[tuple[Html, str]]]
 """By test and kind, frames as SVG with their captions."""
 
 
 def chosen_frames(errors: ModelErrors, space: str) -> dict[str, list[int]]:
     """The frames that the rule takes, by kind, as positions; see `RULE`. space: "2d" or "3d"."""
-    far, head = (errors.error_px, errors.head_px) if space == "2d" else (errors.error_m, errors.head_m)
-    off = np.where(np.isinf(far), _MISSED, np.minimum(far / head[:, None], _MISSED))  # (S, J) head sizes, NaN of no account
+    off = np.minimum(_away(errors, space), _MISSED)
     counted = np.isfinite(off)
     wrong = (off > _RIGHT) & counted
     worst = np.where(counted, off, 0.0).max(axis=1, initial=0.0)
@@ -52,6 +51,20 @@ def chosen_frames(errors: ModelErrors, space: str) -> dict[str, list[int]]:
         ONE_JOINT: _apart(errors, errors.at[single], -worst[single]),
         BODY: _apart(errors, errors.at[body], -mean[body]),
     }
+
+
+def what_fails(errors: ModelErrors, joints: Sequence[str], position: int, space: str) -> str:
+    """The joints of a frame that are not right, in words, the farthest first; "" of none."""
+    away = _away(errors, space)[errors.at == position]
+    wrong = sorted(((away[p, j], joints[j]) for p, j in np.argwhere(away > _RIGHT)), reverse=True)
+    told = [f"{joint} not found" if np.isinf(far) else f"{joint} {far:.1f} heads off" for far, joint in wrong[:_TOLD]]
+    return ", ".join(told) + (f" and {len(wrong) - _TOLD} more" if len(wrong) > _TOLD else "")
+
+
+def _away(errors: ModelErrors, space: str) -> NDArray[np.float64]:
+    """(S, J) how far joints are from the truth, head sizes: infinite where not found, NaN of no account."""
+    far, head = (errors.error_px, errors.head_px) if space == "2d" else (errors.error_m, errors.head_m)
+    return np.asarray(far / head[:, None])
 
 
 def _people(errors: ModelErrors, people: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -79,23 +92,25 @@ def shown_frames(plan: ExperimentPlan, results: Results) -> ShownFrames:
         known = {row: sign * value for row, value in known.items() if np.isfinite(value)}
         if not known:
             continue
-        cell = plan.tested[max(known, key=known.__getitem__), test][0]
+        cell = next(cell for cell in plan.tested[max(known, key=known.__getitem__), test] if cell.done)
         errors, joints = cell.errors()
         if errors.error_px.size and all(piece.folder.exists() for source in cell.frames for piece in source.pieces):
             for kind, positions in chosen_frames(errors, column.space).items():
-                if frames := list(_drawn(cell, joints, positions)):
+                told = [what_fails(errors, joints, position, column.space) for position in positions]
+                if frames := list(_drawn(cell, joints, dict(zip(positions, told, strict=True)))):
                     shown[test, kind] = frames
     return shown
 
 
-def _drawn(cell: TestCell, joints: Sequence[str], positions: Iterable[int]) -> Iterable[tuple[Html, str]]:
+def _drawn(cell: TestCell, joints: Sequence[str], positions: Mapping[int, str]) -> Iterable[tuple[Html, str]]:
+    """Frames by position, with what is said of each."""
     from cabinpose.app.models import opened_models  # noqa: PLC0415 - ONNX Runtime
 
     datasets = [
         each for s, d in zip(cell.frames, cell.drawn(), strict=True) for each in opened(s.part, d, cell.trained.settings).values()
     ]
     firsts, options = [0, *accumulate(each.sizes["frame"] for each in datasets)], EvaluationOptions(resamples=0)
-    for position in positions:
+    for position, told in positions.items():
         number = int(np.searchsorted(firsts, position, side="right")) - 1
         dataset = datasets[number]
         if "depth" not in dataset:
@@ -106,4 +121,5 @@ def _drawn(cell: TestCell, joints: Sequence[str], positions: Iterable[int]) -> I
         skeleton = skeleton_with(joints)
         shown = shown_frame(dataset, skeleton, model, options, int(dataset["frame"].values[position - firsts[number]]))
         points = None if shown.flat else shown.found
-        yield drawing(shown.frame, skeleton, shown.uv, cell.slots, True, points), caption(shown.frame)
+        words = ": ".join(filter(None, (caption(shown.frame), told)))
+        yield drawing(shown.frame, skeleton, shown.uv, cell.slots, True, points), words
