@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from cabinpose.app.report.html import Html
-from cabinpose.app.report.raster import curves_chart, write_curves
+from cabinpose.app.report.raster import curves_chart, write_curves, write_svg
 
 ROWS = [{"train_loss": 9.5 - i, "val_loss": v} for i, v in enumerate([9.0, 6.0, math.nan, 8.0])]
 
@@ -57,3 +57,13 @@ def test_short_runs_have_a_picture(rows: list[dict[str, float]], tmp_path: Path)
     write_curves(tmp_path / "curves.png", rows, None, "val_loss", True)
     assert Image.open(tmp_path / "curves.png").size == (960, 2 * (260 + 28))
     assert [path.name for path in tmp_path.iterdir()] == ["curves.png"]
+
+
+def test_every_line_has_its_name_and_its_own_colour_also_of_many(tmp_path: Path) -> None:
+    names = [f"without part {number}" for number in range(16)]
+    write_svg(tmp_path / "a.svg", curves_chart(ROWS, None, "", False), names)
+    strip = next(iter(ET.parse(tmp_path / "a.svg").getroot().iter("{http://www.w3.org/2000/svg}svg")))[1][0]
+    assert [text.text for text in strip if text.tag.endswith("text")] == names
+    boxes = [part.attrib for part in strip if part.tag.endswith("rect")]
+    assert len({box["fill"] for box in boxes}) == len({(box["x"], box["y"]) for box in boxes}) == len(names)
+    assert float(strip.attrib["viewBox"].split()[2]) < 800

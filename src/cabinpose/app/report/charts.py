@@ -10,9 +10,12 @@ import numpy as np
 from cabinpose.app.report.html import Html, el
 from cabinpose.evaluate import Box
 
-# Okabe and Ito (2008): told apart by people with any colour vision; the first is for "All" and the first model. The last is the
-# colour of text, black or white with the page's theme.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c7a00", "#6b6f76", "currentColor")
+# Okabe and Ito (2008): told apart by people with any colour vision; the first is for "All" and the first model. Where there are
+# many, Tol's muted ones follow (2021). The last is the colour of text, black or white with the page's theme.
+COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c7a00", "#6b6f76", "#882255",
+    "#44aa99", "#332288", "#999933", "#117733", "#aa4499", "#ddcc77", "currentColor",
+)  # fmt: skip
 
 
 class Axis(NamedTuple):
@@ -123,7 +126,7 @@ def series_chart(
     if diagonal:
         ends = max(plot.x[0], y[0]), min(plot.x[1], y[1])
         plot.body.append(line(*plot.at(ends[0], ends[0]), *plot.at(ends[1], ends[1]), "axis"))
-    for name, colour in reversed(list(zip(lines, _colours(lines), strict=True))):  # the first is drawn last, on top
+    for name, colour in reversed(list(zip(lines, colours_of(lines), strict=True))):  # the first is drawn last, on top
         plot.body.append(el("path", el("title", name), d=plot.path(*lines[name]), fill="none", stroke=colour, stroke_width=1.8))
     return plot.svg(x_label)
 
@@ -146,7 +149,7 @@ def box_chart(
     for i, joint in enumerate(joints):
         middle, base = plot.at(i + 0.5, rows[0])
         plot.body.append(el("text", joint, transform=f"translate({middle + 4:.1f},{base + 14:.1f}) rotate(-35)", class_="end"))
-        for m, (model, colour) in enumerate(zip(boxes, _colours(boxes), strict=True)):
+        for m, (model, colour) in enumerate(zip(boxes, colours_of(boxes), strict=True)):
             if box := boxes[model].get(joint):
                 x = middle + (m - (len(boxes) - 1) / 2) * wide * 1.12
                 plot.body += _box(plot, box, x, wide, rows[0], colour, f"{model}, {joint}: {box.samples}, {box.beyond} beyond")
@@ -172,7 +175,7 @@ def _box(plot: Plot, box: Box, x: float, wide: float, least: float, colour: str,
 def legend(names: Iterable[str]) -> Html:
     """The names of lines or boxes beside their colours."""
     names = list(names)
-    items = (el("li", el("i", style=f"background:{c}"), n) for n, c in zip(names, _colours(names), strict=True))
+    items = (el("li", el("i", style=f"background:{c}"), n) for n, c in zip(names, colours_of(names), strict=True))
     return el("ul", *items, class_="legend")
 
 
@@ -181,7 +184,8 @@ def charts(drawn: Iterable[str], columns: str = "") -> Html:
     return el("div", Html("".join(drawn)), class_=f"charts {columns}".strip())
 
 
-def _colours(names: Iterable[str]) -> list[str]:
+def colours_of(names: Iterable[str]) -> list[str]:
+    """The colour of each of some lines or boxes."""
     return [COLOURS[i % len(COLOURS)] for i, _ in enumerate(names)]
 
 

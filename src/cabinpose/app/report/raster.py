@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, fromstring
 
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from cabinpose.app.report.charts import COLOURS, ValueScale, series_chart, text
+from cabinpose.app.report.charts import ValueScale, colours_of, series_chart, text
 from cabinpose.app.report.html import Html, el
 from cabinpose.core import whole_file, write_whole
 
@@ -26,6 +26,7 @@ _STYLE = (
 _NUMBER = re.compile(r"-?[\d.]+")
 _ANCHORS = {"end": "rs", "middle": "ms"}
 _LINES = {"train_loss": "training loss", "val_loss": "validation loss"}  # blue and red, as in the thesis' figure 6.22
+_INDENT, _LEGEND = 46.0, 660.0  # px of a chart
 _WIDE = 10.0  # losses that differ by more are drawn on a logarithmic axis
 
 
@@ -65,12 +66,16 @@ def write_png(path: Path, drawn: Sequence[Html], names: Iterable[str] = ()) -> N
 
 
 def _legend(names: Sequence[str]) -> Html:
-    """A strip of names beside their colours."""
-    body, x = [], 46.0
-    for name, colour in zip(names, COLOURS, strict=False):
-        body += [el("rect", x=x, y=12.0, width=14.0, height=5.0, fill=colour, stroke=colour), text(x + 20, 18, name, "")]
-        x += 44 + 7 * len(name)
-    return el("svg", *body, viewBox=f"0 0 {x:.0f} 28")
+    """Names beside their colours, in lines as wide as a chart is."""
+    body, x, y, wide = [], _INDENT, 12.0, 0.0
+    for name, colour in zip(names, colours_of(names), strict=True):
+        width = 44 + 7 * len(name)
+        if x > _INDENT and x + width > _LEGEND:
+            x, y = _INDENT, y + 18
+        body += [el("rect", x=x, y=y, width=14.0, height=5.0, fill=colour, stroke=colour), text(x + 20, y + 6, name, "")]
+        x += width
+        wide = max(wide, x)
+    return el("svg", *body, viewBox=f"0 0 {wide:.0f} {y + 16:.0f}")
 
 
 def _painted(chart: Element, sharp: int = _SHARP) -> Image.Image:
