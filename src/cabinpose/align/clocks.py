@@ -8,13 +8,18 @@ with a pendulum. It stays valid where a device was started anew between two take
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import AlignmentError
 from cabinpose.signals import ClockMap
 
-_GREATEST_DRIFT = 1e-3  # a quartz clock has 1e-4 at worst; beyond it, stamps are no clock's
+_GREATEST_DRIFT = 1e-3  # beyond it, stamps are no clock's
+_OTHER_UNIT = 0.1  # beyond it they are of another unit, and steps between them say nothing
+_QUARTZ = 1e-4  # at worst
+_AS_WELL = 2.0  # a line that leaves at most so many times the distance to the arrivals tells them as well: the take is short
 _FEWEST = 10
 
 
@@ -23,8 +28,9 @@ def host_from_device(device_ns: NDArray[np.int64], host_ns: NDArray[np.int64], s
 
     device_ns, host_ns: (T,) times of the same samples. Of the lines below all arrivals it is the one with the least sum of
     distances to them: the edge of the lower convex hull over the mean device time (the linear programme of Moon, Skelly and
-    Towsley, INFOCOM 1999). Raises AlignmentError for too few samples, a clock that went backwards or jumped, or a slope that
-    no clock has.
+    Towsley, INFOCOM 1999). A take of seconds does not tell a slope from latencies: where that line is steeper than any clock
+    and one of a quartz clock lies below the arrivals nearly as closely, it is taken. Raises AlignmentError for too few samples, a
+    clock that went backwards or jumped, or a slope that no clock has.
     """
     device, host = np.asarray(device_ns, np.int64), np.asarray(host_ns, np.int64)
     if len(device) < _FEWEST:
@@ -44,9 +50,13 @@ def host_from_device(device_ns: NDArray[np.int64], host_ns: NDArray[np.int64], s
     right = min(max(int(np.searchsorted(hull[:, 0], middle, side="right")), 1), len(hull) - 1)
     (x0, y0), (x1, y1) = hull[right - 1], hull[right]
     drift = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
-    if abs(drift) > _GREATEST_DRIFT:
-        raise _no_clock(source, drift)
     at_start = y0 - drift * x0
+    if abs(drift) > _GREATEST_DRIFT:
+        likely = math.copysign(_QUARTZ, drift)
+        below = float((y - likely * x).min())
+        if (y - likely * x - below).mean() > _AS_WELL * (y - drift * x - at_start).mean():
+            raise _no_clock(source, drift)
+        drift, at_start = likely, below
     return ClockMap(int(host[0]) - start + round(at_start), drift, start)
 
 
@@ -80,7 +90,7 @@ def _refuse_jump(source: str, x: NDArray[np.float64], y: NDArray[np.float64]) ->
     floors = np.array([y[piece].min() for piece in pieces])
     times = np.array([x[piece].mean() for piece in pieces])
     slope = float(np.median(np.diff(floors) / np.diff(times)))
-    if abs(slope) > _GREATEST_DRIFT:
+    if abs(slope) > _OTHER_UNIT:
         raise _no_clock(source, slope)
     steps = np.abs(np.diff(floors) - slope * np.diff(times))
     worst = int(steps.argmax())
