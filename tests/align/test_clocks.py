@@ -69,5 +69,5 @@ def test_what_is_no_steady_clock_is_refused():
         host_from_device(back, host)
     with pytest.raises(AlignmentError, match="as no clock does"):
         host_from_device(device * 1000, host)
-    with pytest.raises(AlignmentError, match=r"runs [+-]2.0e-03 against"):
+    with pytest.raises(AlignmentError, match=r"runs -1.9e-03 against"):
         host_from_device((device * 1.002).astype(np.int64), host)
