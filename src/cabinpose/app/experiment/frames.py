@@ -322,11 +322,12 @@ def check_subjects(source: SelectedFrames, where: str) -> None:
     if not any(piece.config for piece in source.pieces):
         _refuse_unknown([open_dataset(piece.folder) for piece in source.pieces], source.part, where)
     if source.part.frames is not None and source.part.frames > source.most:
-        raise _too_few(where, source.part, source.most, made=any(piece.config for piece in source.pieces))
+        raise _too_few(where, source, source.most)
 
 
-def _too_few(where: str, part: FrameSelection, there: int, *, made: bool) -> ConfigError:
-    more = f", or make more with data.{part.data}.frames" if made else ""
+def _too_few(where: str, source: SelectedFrames, there: int) -> ConfigError:
+    part = source.part
+    more = f", or make more with data.{part.data}.frames" if any(piece.config for piece in source.pieces) else ""
     return ConfigError(
         f"{where}: {part.frames} frames of {part.data} are asked for at this scale, and the selection has {there}",
         hint=f"ask for at most {there}, or select more of it{more}",
@@ -381,7 +382,7 @@ def draw(
             f"{where}: no frame of {source.part.data} is left", hint="look at the selection, and at `cabinpose info`"
         )
     if source.part.frames is not None and len(at) < source.part.frames:
-        raise _too_few(where, source.part, len(at), made=any(piece.config for piece in source.pieces))
+        raise _too_few(where, source, len(at))
     rng = draw_rng()
     order = rng.permutation(len(at))
     if whole_sequences:
