@@ -68,9 +68,9 @@ start = pytest.fixture(name="start")(_servers)
 start_for_module = pytest.fixture(name="start_for_module", scope="module")(_servers)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Headless Chromium."""
+    """Headless Chromium; no longer than a module, for while its driver lives no test can run an event loop of its own."""
     if shutil.which("chromium") is None:
         pytest.skip("needs Chromium: apt-get install chromium")
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
