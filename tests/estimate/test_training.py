@@ -8,13 +8,15 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import small
 import torch
 from lightning.pytorch.callbacks import Callback
+from torch import nn
+from torch.optim.swa_utils import AveragedModel
 
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.core.segmentation import class_table
@@ -25,7 +27,7 @@ from cabinpose.estimate.found import Found
 from cabinpose.estimate.methods import METHODS, NetworkMethod
 from cabinpose.estimate.tasks import TASKS, Joints, Lift, Parts
 from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
-from cabinpose.estimate.training import Detector, check_same, complete, fit, frame_spec, load_detector
+from cabinpose.estimate.training import Detector, _moving_average, check_same, complete, fit, frame_spec, load_detector
 from cabinpose.estimate.unet.config import MERGED
 
 ONE = Machines(1)
@@ -279,6 +281,22 @@ def test_a_run_begins_with_the_weights_of_another(checkpoints: dict[str, Path], 
     before = dict(load_detector(checkpoints["compact"]).network.named_parameters())
     assert all(torch.allclose(value, before[name], atol=1e-8) for name, value in begun.network.named_parameters())
     assert not all(torch.allclose(value, before[name], atol=1e-8) for name, value in fresh.network.named_parameters())
+
+
+def test_averages_of_weights_are_those_of_their_definition() -> None:
+    """m <- k m + (1 - k) w with k = min((1 + n) / (10 + n), decay); a counter is that of the newest weights."""
+    network = nn.BatchNorm1d(2)
+    averaged = AveragedModel(network, multi_avg_fn=_moving_average(0.25), use_buffers=True)
+    averaged.update_parameters(network)  # the first is taken over
+    mean = 1.0
+    for n, weight in enumerate((3.0, -2.0, 5.0, 7.0), start=1):
+        nn.init.constant_(network.weight, weight)
+        cast(torch.Tensor, network.num_batches_tracked).fill_(10 * n)
+        averaged.update_parameters(network)
+        kept = min((1 + n) / (10 + n), 0.25)
+        mean = kept * mean + (1 - kept) * weight
+        assert averaged.module.weight[0].item() == pytest.approx(mean, rel=1e-6)
+        assert averaged.module.num_batches_tracked.item() == 10 * n
 
 
 @pytest.mark.slow
