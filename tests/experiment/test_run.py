@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import shutil
 import signal
 import subprocess
@@ -23,6 +24,7 @@ import torch
 import xarray as xr
 from distributed import LocalCluster
 
+from cabinpose.app.cli.interrupt import Ended
 from cabinpose.app.experiment.cells import ExperimentCell, _sides
 from cabinpose.app.experiment.config import load
 from cabinpose.app.experiment.frames import opened
@@ -155,6 +157,11 @@ def test_a_kill_loses_the_epoch_under_way_at_most(
     whole = torch.load(last, weights_only=False)["epoch"] + 1
     assert whole >= 1
     assert not last.with_name("cell.json").exists()
+    plan = make_plan(load(Path(words[2])), "paper", tmp_path / "killed", {})
+    shares = [cell.made_share for cell in plan.cells]
+    assert shares[:3] == [1.0, 1.0, 1.0]  # three people, a training, a test
+    assert shares[3] * epochs in (pytest.approx(whole), pytest.approx(whole + 1))  # killed between its table and its checkpoint
+    assert shares[4] == 0.0
     shown = run("experiment", "report", tmp_path / "killed" / "small" / "paper")
     assert (shown.code, "1 of 5 cells are not made" in shown.out or "2 of 5 cells are not made" in shown.out) == (0, True), (
         shown.err
@@ -346,6 +353,35 @@ def test_a_rows_tests_come_before_the_next_row_also_of_several_workers() -> None
     cells: Any = [SimpleNamespace(name=name, key=name, needs=of) for name, of in needs.items()]
     _spread(cells, AtOnce(), lambda *_: None, at_once=2)
     assert handed == ["A", "B", "A on T", "B on T", "C", "C on T"]
+
+
+@dataclass(frozen=True)
+class Asleep(Note):
+    """A cell that takes ten minutes but for one that is called `soon`."""
+
+    def _made(self) -> dict[str, Any]:
+        if self.name != "soon":
+            (self.folder / "begun").touch()
+            time.sleep(600)
+        while not (self.folder.parent / "late" / "begun").exists():
+            time.sleep(0.05)
+        return {}
+
+
+@pytest.mark.slow
+def test_cells_under_way_end_with_the_process_that_asked_for_them(tmp_path: Path) -> None:
+    """Who ends it by its process id alone, as a job's scheduler does, does not wait for a training."""
+
+    def told(*_: Any) -> None:
+        raise Ended
+
+    cells = [Asleep(name, name, tmp_path / name, (), 0.0) for name in ("soon", "late")]
+    began = time.monotonic()
+    with pytest.raises(Ended):
+        make_cells(cells, 2, told)
+    assert time.monotonic() - began < 120
+    assert multiprocessing.active_children() == []
+    assert not cells[1].done
 
 
 def test_no_scheduler(tmp_path: Path) -> None:

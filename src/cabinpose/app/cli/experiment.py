@@ -109,6 +109,7 @@ class Compare(PrintsJson):
 
 COMMAND = one_of(run=RunExperiment, list=List, show=Show, report=Remake, compare=Compare)
 _KINDS = ("data", "training", "test")
+_COUNTED_S = 5.0  # how often is looked how far cells are
 
 
 def run(command: RunExperiment | List | Show | Remake | Compare) -> None:
@@ -145,12 +146,13 @@ def _run(command: RunExperiment) -> None:
     missing = [cell for cell in cells if not cell.done]
     there = [cell for cell in cells if cell.done]
     asked |= {"code": code_state(), "resamples": command.resamples}
-    with _going_on(folder), progress(_expected_s(cells), "s of work", start=_expected_s(there)) as shown:
+    whole_s = round(sum(cell.expected_s for cell in cells))
+    with _going_on(folder), progress(whole_s, "s of work", start=_made_s(cells)) as shown, _counted(cells, shown) as notes:
 
         def told(cell: ExperimentCell, record: dict[str, Any]) -> None:
             there.append(cell)
-            count = f"{len(there)} of {len(cells)} cells"
-            shown(_expected_s(there), f"{count}, {cell.name} made in {record['cpu_s']:.0f} CPU s")
+            notes.append(f"{len(there)} of {len(cells)} cells, {cell.name} made in {record['cpu_s']:.0f} CPU s")
+            shown(_made_s(cells), notes[-1])
 
         datasets = [cell for cell in missing if isinstance(cell, DataCell)]
         make_cells(datasets, workers, told)
@@ -181,9 +183,29 @@ def _going_on(folder: Path) -> Iterator[None]:
         raise
 
 
-def _expected_s(cells: Sequence[ExperimentCell]) -> int:
-    """The CPU seconds that some cells should take: a test is no training."""
-    return round(sum(cell.expected_s for cell in cells))
+@contextmanager
+def _counted(cells: Sequence[ExperimentCell], shown: ProgressReport) -> Iterator[list[str]]:
+    """Show, with the last of the notes, how far the cells under way are, whoever makes them: a training is minutes."""
+    from threading import Event, Thread
+
+    notes, over = [""], Event()
+
+    def count() -> None:
+        while not over.wait(_COUNTED_S):
+            shown(_made_s(cells), notes[-1])
+
+    thread = Thread(target=count, daemon=True)
+    thread.start()
+    try:
+        yield notes
+    finally:
+        over.set()
+        thread.join()
+
+
+def _made_s(cells: Sequence[ExperimentCell]) -> int:
+    """The CPU seconds that what there is of some cells should have taken: a test is no training."""
+    return round(sum(cell.expected_s * cell.made_share for cell in cells))
 
 
 def _planned(name: str, scale: str, data: tuple[str, ...], out: Path) -> tuple[ExperimentPlan, dict[str, object]]:

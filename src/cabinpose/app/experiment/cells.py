@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, draw, opened
-from cabinpose.core import SKELETONS, ConfigError, make_folder, read_arrays, whole_file, write_whole
+from cabinpose.core import SKELETONS, ConfigError, DatasetError, make_folder, read_arrays, whole_file, write_whole
 from cabinpose.estimate import METHODS
 from cabinpose.evaluate import EvaluationOptions, ModelErrors, clusters_of, errors_of, joined_errors, samples_of
 from cabinpose.store import MANIFEST_NAME, read_manifest
@@ -71,6 +71,15 @@ class ExperimentCell(ABC):
                 return found
         return {}
 
+    @property
+    def made_share(self) -> float:
+        """How much of it there is, 0 to 1, also of one that is being made, wherever that is."""
+        if self.done:
+            return 1.0
+        with suppress(OSError, ValueError, DatasetError):
+            return min(self._begun(), 1.0)
+        return 0.0
+
     def make(self) -> dict[str, Any]:
         """Make it, going on with what an interrupted run has left; its record."""
         make_folder(self.folder)
@@ -86,6 +95,10 @@ class ExperimentCell(ABC):
     @abstractmethod
     def frame_count(self) -> int:
         """How many frames it makes, learns from or judges, as far as it is known before it is made."""
+
+    def _begun(self) -> float:
+        """How much of it an interrupted run has left, or one that goes on has made; nothing where that is not known."""
+        return 0.0
 
     @abstractmethod
     def _made(self) -> dict[str, Any]:
@@ -106,6 +119,9 @@ class DataCell(ExperimentCell):
     @property
     def frame_count(self) -> int:
         return self.piece.frames
+
+    def _begun(self) -> float:
+        return read_manifest(self.piece.folder).frames / self.piece.frames
 
     def _made(self) -> dict[str, Any]:
         if self.piece.recorded:
@@ -163,6 +179,10 @@ class TrainCell(ExperimentCell):
             if (self.folder / name).exists():
                 return self.folder / name
         raise ConfigError(f"{self.folder} has no model", hint=f"remove {self.folder / RECORD} to train it again")
+
+    def _begun(self) -> float:
+        rows = (self.folder / "log" / "metrics.csv").read_text("utf-8").splitlines()
+        return (len(rows) - 1) / self.recipe["epochs"]
 
     def _made(self) -> dict[str, Any]:
         from cabinpose.app.report.raster import write_curves  # noqa: PLC0415 - the same as below

@@ -80,7 +80,12 @@ def _executor(workers: int | str) -> Iterator[Executor]:
     """Processes of this machine, or a cluster."""
     if isinstance(workers, int):
         with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as executor:
-            yield executor
+            try:
+                yield executor
+            except BaseException:
+                for process in multiprocessing.active_children():  # who asked this process to end does not wait for their cells
+                    process.terminate()
+                raise
         return
     optional_module("distributed", purpose="a cluster", hint="pip install 'cabinpose[cluster]'")
     from distributed import Client, KilledWorker  # noqa: PLC0415 - the extra `cluster`
