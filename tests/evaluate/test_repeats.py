@@ -21,13 +21,15 @@ def test_one_repeat_has_the_numbers_of_the_report(space: str, dataset: xr.Datase
     report, errors = make_report(samples, OPTIONS, "m", "d"), errors_of(samples)
     mean = "mean error" if space == "2d" else "MPJPE"
     rows = [("pckh", 0.5, "PCKh", 0.5), ("auc", 0.5, "AUC of PCKh", None), ("mean_error", 1.0, mean, None)]
+    if space == "2d":
+        rows += [("presence_precision", 1.0, "presence precision", None), ("presence_recall", 1.0, "presence recall", None)]
     rows += [("pck", 26.0, "PCK", 26.0)] if space == "2d" else [("pck", 0.10, "PCK", 10.0)]
     for measure, threshold, name, at in rows:
         for joints in ("All", "Wrist"):
             members = report.joint_sets[joints]
             columns = [samples.skeleton.joints.index(joint) for joint in members]
             found = over_repeats([errors], measure, space=space, threshold=threshold, joints=columns, resamples=0)  # type: ignore[arg-type]
-            theirs = report.value(name, space, joints, at)
+            theirs = report.value(name, "image" if measure.startswith("presence") else space, joints, at)
             assert theirs is not None
             assert found.value == pytest.approx(theirs.value, abs=1e-4), (measure, joints)
     line = report.curves[space]["pckh"]["lines"]["All"]
@@ -39,7 +41,9 @@ def hits(share: float, frames: int, *, rng: np.random.Generator) -> ModelErrors:
     """A joint a frame, found at once or not at all."""
     error = np.where(rng.random((frames, 1)) < share, 0.0, np.inf)
     head = np.ones(frames)
-    return ModelErrors(np.arange(frames), np.arange(frames), error, error, head, head, np.zeros((0, 0, 0), np.int64))
+    return ModelErrors(
+        np.arange(frames), np.arange(frames), error, error, head, head, error * np.nan, np.zeros((0, 0, 0), np.int64)
+    )
 
 
 def test_the_interval_over_frames_is_the_binomial_one() -> None:
@@ -98,7 +102,9 @@ def test_a_repeat_that_differs_makes_nothing_sure_of_its_row() -> None:
 def test_parts_are_pooled_over_frames() -> None:
     confusion = np.array([[[90, 0, 0], [0, 5, 5], [0, 0, 10]], [[80, 10, 0], [0, 10, 0], [10, 0, 0]]])
     none = np.zeros(0)
-    run = ModelErrors(np.arange(2), np.zeros(0, np.int64), np.zeros((0, 1)), np.zeros((0, 1)), none, none, confusion)
+    run = ModelErrors(
+        np.arange(2), np.zeros(0, np.int64), np.zeros((0, 1)), np.zeros((0, 1)), none, none, np.zeros((0, 1)), confusion
+    )
     found = over_repeats([run], "iou", resamples=0)
     assert found.value == pytest.approx(100 * (15 / 30 + 10 / 25) / 2)  # 15 of 20 true and 25 found; 10 of 20 and 15
     assert over_repeats([run], "person_iou", resamples=0).value == pytest.approx(100 * 30 / 50)

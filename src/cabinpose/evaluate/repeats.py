@@ -21,9 +21,10 @@ from cabinpose.evaluate.metrics import area_to_half, within_head
 from cabinpose.evaluate.samples import Samples
 
 Array = NDArray[np.float64]
-Measure = Literal["pckh", "auc", "pck", "mean_error", "iou", "person_iou"]
+Measure = Literal["pckh", "auc", "pck", "mean_error", "presence_precision", "presence_recall", "iou", "person_iou"]
 """Of joints: shares within a part of the head size, its area from 0 to 0.5, shares within a distance (%), mean error of those
-found; of body parts: mean intersection over union, that of people as a whole (%)."""
+found, how many of those that were found are in the image and how many of those in the image were found (%); of body parts: mean
+intersection over union, that of people as a whole (%)."""
 
 
 class ModelErrors(NamedTuple):
@@ -31,7 +32,8 @@ class ModelErrors(NamedTuple):
 
     cluster: (F,) what a frame is drawn with, see `clusters_of` · at: (S,) the frame of each person ·
     error_px, error_m: (S, J) distance to the truth, infinite where the joint was not found, NaN where it does not count ·
-    head_px, head_m: (S,) head size · confusion: (F, C, C) or (0, 0, 0).
+    head_px, head_m: (S,) head size · presence: (S, J) 3 of joints that count and were found, 2 not found, 1 of joints that a right
+    prediction leaves out and were found, 0 left out, NaN of those too hidden to judge · confusion: (F, C, C) or (0, 0, 0).
     """
 
     cluster: NDArray[np.int64]
@@ -40,6 +42,7 @@ class ModelErrors(NamedTuple):
     error_m: Array
     head_px: Array
     head_m: Array
+    presence: Array
     confusion: NDArray[np.int64]
 
     @property
@@ -74,11 +77,13 @@ def errors_of(samples: Samples, joints: Sequence[str] | None = None) -> ModelErr
     """The errors of the samples of one model; joints: their columns, NaN of those that were not judged; default: all judged."""
     spaces = [np.where(s.found, s.error.astype(np.float64), np.inf) for s in (samples.px, samples.m)]
     px, m = (np.where(samples.counts & s.known, error, np.nan) for s, error in zip((samples.px, samples.m), spaces, strict=True))
+    presence = np.where(samples.counts | samples.absent, 2.0 * samples.counts + samples.found, np.nan)
     if joints is not None:
         columns = [joints.index(joint) for joint in samples.skeleton.joints]
-        px, m = (_spread(error, columns, len(joints)) for error in (px, m))
+        px, m, presence = (_spread(values, columns, len(joints)) for values in (px, m, presence))
     heads = (samples.px.head.astype(np.float64), samples.m.head.astype(np.float64))
-    return ModelErrors(clusters_of(samples.sequence, samples.sync_ns), samples.at, px, m, *heads, np.zeros((0, 0, 0), np.int64))
+    drawn_with = clusters_of(samples.sequence, samples.sync_ns)
+    return ModelErrors(drawn_with, samples.at, px, m, *heads, presence, np.zeros((0, 0, 0), np.int64))
 
 
 def _spread(values: Array, columns: list[int], count: int) -> Array:
@@ -201,6 +206,10 @@ def _resampled(
         top = within_head(errors, head, threshold) if measure == "pckh" else area_to_half(errors, head)
     elif measure == "pck":
         top = errors <= np.float32(threshold)
+    elif measure in ("presence_precision", "presence_recall"):
+        presence = run.presence if joints is None else run.presence[:, list(joints)]
+        top = presence == 3.0
+        counts = top | (presence == (1.0 if measure == "presence_precision" else 2.0))
     else:
         counts &= np.isfinite(errors)
         top = np.where(counts, errors, 0.0)
