@@ -101,10 +101,8 @@ def test_a_repeat_that_differs_makes_nothing_sure_of_its_row() -> None:
 
 def test_parts_are_pooled_over_frames() -> None:
     confusion = np.array([[[90, 0, 0], [0, 5, 5], [0, 0, 10]], [[80, 10, 0], [0, 10, 0], [10, 0, 0]]])
-    none = np.zeros(0)
-    run = ModelErrors(
-        np.arange(2), np.zeros(0, np.int64), np.zeros((0, 1)), np.zeros((0, 1)), none, none, np.zeros((0, 1)), confusion
-    )
+    none, joints = np.zeros(0), np.zeros((0, 1))
+    run = ModelErrors(np.arange(2), np.zeros(0, np.int64), joints, joints, none, none, joints, confusion)
     found = over_repeats([run], "iou", resamples=0)
     assert found.value == pytest.approx(100 * (15 / 30 + 10 / 25) / 2)  # 15 of 20 true and 25 found; 10 of 20 and 15
     assert over_repeats([run], "person_iou", resamples=0).value == pytest.approx(100 * 30 / 50)

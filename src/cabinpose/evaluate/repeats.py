@@ -32,8 +32,8 @@ class ModelErrors(NamedTuple):
 
     cluster: (F,) what a frame is drawn with, see `clusters_of` · at: (S,) the frame of each person ·
     error_px, error_m: (S, J) distance to the truth, infinite where the joint was not found, NaN where it does not count ·
-    head_px, head_m: (S,) head size · presence: (S, J) 3 of joints that count and were found, 2 not found, 1 of joints that a right
-    prediction leaves out and were found, 0 left out, NaN of those too hidden to judge · confusion: (F, C, C) or (0, 0, 0).
+    head_px, head_m: (S,) head size · presence: (S, J) 3 of joints that count and were found, 2 not found, 1 of joints that a
+    right prediction leaves out and were found, 0 left out, NaN of those too hidden to judge · confusion: (F, C, C) or (0, 0, 0).
     """
 
     cluster: NDArray[np.int64]
