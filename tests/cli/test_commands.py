@@ -253,11 +253,14 @@ def test_progress_is_silent_for_short_work_and_speaks_for_long(
         for seconds, done in ((1.0, 300), (1.5, 350), (2.5, 450), (3.0, 500), (13.0, 900)):
             now[0] = 100.0 + seconds
             report(done, "7 rejected")
+        now[0] += 50.0  # without another frame
+        report(900, "7 rejected")
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.splitlines() == [
         "450/1000 frames, 100.0 frames/s, 6 s left, 7 rejected",
         "900/1000 frames, 53.8 frames/s, 2 s left, 7 rejected",
+        "900/1000 frames, 11.1 frames/s, 7 rejected",
     ]
 
 

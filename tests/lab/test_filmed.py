@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cabinpose.app.lab import filmed
-from cabinpose.app.lab.filmed import _LEAD_S, FilmedMotion, FilmedSession, FilmedSubject, _Films, record_films
+from cabinpose.app.lab.filmed import _LEAD_S, FilmedMotion, FilmedSession, FilmedSubject, _Films, record_films, recorded_share
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core import CABINPOSE
 from cabinpose.core.errors import SceneError
@@ -36,6 +36,14 @@ def session(rig: VirtualRig | None = None, frames: int = 12, **changes: Any) -> 
 def test_a_subject_does_one_activity_a_take_until_there_are_enough_frames() -> None:
     takes = session(frames=40).takes()  # 44 with those that may be lost: four takes of twelve
     assert [(t.activity, t.number) for t in takes] == [("check_mirror", 0), ("operate", 0), ("check_mirror", 1), ("operate", 1)]
+
+
+def test_takes_that_are_there_are_recorded(tmp_path: Path) -> None:
+    (made := tmp_path / "recordings").mkdir()
+    assert recorded_share(session(frames=40), made) == 0.0
+    for name in ("board.mcap", "take-0000-P1.mcap", "take-0002-P1.mcap", "take-0003-P2.mcap"):  # the last is somebody else's
+        (made / name).touch()
+    assert recorded_share(session(frames=40), made) == 0.5
 
 
 def test_a_take_is_the_film_after_turns_of_the_head() -> None:

@@ -139,13 +139,16 @@ class ProgressReport:
                 self._logged = now
 
     def _left(self, now: float, done: int) -> str:
-        """The time left, from the rate over the second half of the elapsed time (the first half includes preparation)."""
+        """The time left, from the rate over the second half of the elapsed time (the first half includes preparation).
+
+        Nothing where nothing was finished in that half.
+        """
         if done - self._start < _LEAST_SHARE * (self._total - self._start):
             return ""
         middle = (self._began + now) / 2
         then, before = max((seen for seen in self._seen if seen[0] <= middle), key=lambda seen: seen[0])
         self._seen = [seen for seen in self._seen if seen[0] >= then]
-        return f"{(self._total - done) * (now - then) / max(done - before, 1):.0f} s left"
+        return f"{(self._total - done) * (now - then) / (done - before):.0f} s left" if done > before else ""
 
 
 @contextmanager

@@ -112,6 +112,10 @@ class DataCell(ExperimentCell):
     piece: DatasetPiece
 
     @property
+    def _recordings(self) -> Path:
+        return self.folder / "recordings"
+
+    @property
     def done(self) -> bool:
         """Whether the dataset is there as well."""
         return super().done and (self.piece.folder / MANIFEST_NAME).exists()
@@ -121,7 +125,11 @@ class DataCell(ExperimentCell):
         return self.piece.frames
 
     def _begun(self) -> float:
-        return read_manifest(self.piece.folder).frames / self.piece.frames
+        if not self.piece.recorded:
+            return read_manifest(self.piece.folder).frames / self.piece.frames
+        from cabinpose.app.lab.filmed import FilmedSession, recorded_share  # noqa: PLC0415 - the same as below
+
+        return recorded_share(FilmedSession.model_validate_json(self.piece.config), self._recordings)
 
     def _made(self) -> dict[str, Any]:
         if self.piece.recorded:
@@ -135,10 +143,9 @@ class DataCell(ExperimentCell):
     def _recorded(self) -> dict[str, Any]:
         from cabinpose.app.lab.filmed import FilmedSession, record_films  # noqa: PLC0415 - its libraries, for those who record
 
-        recordings = self.folder / "recordings"
         if not (self.piece.folder / MANIFEST_NAME).exists():
-            record_films(FilmedSession.model_validate_json(self.piece.config), recordings, self.piece.folder)
-        shutil.rmtree(recordings, ignore_errors=True)
+            record_films(FilmedSession.model_validate_json(self.piece.config), self._recordings, self.piece.folder)
+        shutil.rmtree(self._recordings, ignore_errors=True)
         return {"frames": read_manifest(self.piece.folder).frames}
 
 

@@ -211,7 +211,7 @@ def record_films(session: FilmedSession, recordings: Path, dataset: Path) -> tup
     _calibration_takes(session, recordings, rig, list(actors.values()))
     paths = []
     for number, take in enumerate(takes):
-        path = recordings / f"take-{number:04d}-{take.subject}.mcap"
+        path = _file_of(recordings, number, take)
         if not path.exists():
             film = films.film(take)
             if np.abs(film.viewpoint.vehicle_from_camera - invert(rig.camera_from_world)).max() > _SAME_M:
@@ -224,6 +224,16 @@ def record_films(session: FilmedSession, recordings: Path, dataset: Path) -> tup
     aligned = align_takes(paths, calibrated.calibration)
     import_source(aligned.source, dataset)
     return tuple(aligned.warnings)
+
+
+def recorded_share(session: FilmedSession, recordings: Path) -> float:
+    """How many of the takes of a session are recorded, 0 to 1."""
+    there = [_file_of(recordings, number, take).exists() for number, take in enumerate(session.takes())]
+    return sum(there) / len(there)
+
+
+def _file_of(recordings: Path, number: int, take: FilmedTake) -> Path:
+    return recordings / f"take-{number:04d}-{take.subject}.mcap"
 
 
 def _rng(session: FilmedSession, *what: int) -> np.random.Generator:
