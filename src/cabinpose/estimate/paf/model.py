@@ -94,7 +94,6 @@ class Paf(nn.Module):
         presence = [self.presence] if config.presence_labels else []
         for answering in (self.fields, self.heat, *presence, *self._refined()):
             nn.init.normal_(cast(nn.Conv2d, answering[-1]).weight, std=0.01)
-        self.to(memory_format=torch.channels_last)  # whole convolutions learn 7 to 18 % faster so, on a CPU
 
     def _refined(self) -> list[nn.Sequential]:
         return [cast(nn.Sequential, module) for module in (*self.refined_fields, *self.refined_heat)]

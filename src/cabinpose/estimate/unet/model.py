@@ -34,7 +34,6 @@ class Unet(nn.Module):
         self.config = config
         self.person = Stage(3, 1, config.channels, config.levels)
         self.parts = Stage(3, len(config.parts), config.channels, config.levels)
-        self.to(memory_format=torch.channels_last)  # learns 16 % faster so, on a CPU
         self.register_buffer("rays", ray_tensor(config.view), persistent=False)
 
     def cloud(self, depth: Tensor) -> Tensor:
