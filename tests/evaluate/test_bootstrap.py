@@ -89,7 +89,7 @@ def test_every_report_draws_sequences(dataset: xr.Dataset, predictions: Predicti
 def test_sequences_of_two_datasets_are_apart() -> None:
     none = np.zeros((0, 0, 0), np.int64)
     error, head = np.array([[0.0], [0.0], [9.0], [9.0]]), np.ones(4)
-    run = ModelErrors(np.array([0, 0, 1, 1]), np.arange(4), error, error, head, head, error * np.nan, none)
+    run = ModelErrors(np.array([0, 0, 1, 1]), np.arange(4), error, error, error * np.nan, head, head, error * np.nan, none)
     both = joined_errors([run, run])
     assert both.cluster.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
     whole = over_repeats([run], "pckh", resamples=2000, seed=1)

@@ -24,6 +24,17 @@ def test_distances_are_euclidean() -> None:
     assert np.isnan(errors.distances(predicted, np.zeros((1, 3, 2)))[0, 2])
 
 
+@given(SEEDS)
+def test_a_shift_of_a_person_is_nothing_to_the_root(seed: int) -> None:
+    true = pose(seed)
+    moved = true + np.random.default_rng(seed).normal(size=(3, 1, 3))
+    moved[0, 1, 2] += 0.3  # a joint of the first
+    moved[1, 4] = np.nan  # the root of the second was not found
+    found = errors.root_relative_distances(moved, true, root=4)
+    assert found[0].tolist() == pytest.approx([0.0, 0.3, 0.0, 0.0, np.nan, 0.0, 0.0], abs=1e-9, nan_ok=True)
+    assert np.isnan(found[1]).all()
+
+
 @given(SEEDS, st.floats(0.2, 5))
 def test_alignment_takes_a_similarity_away(seed: int, scale: float) -> None:
     true = pose(seed)

@@ -23,6 +23,8 @@ def test_one_repeat_has_the_numbers_of_the_report(space: str, dataset: xr.Datase
     rows = [("pckh", 0.5, "PCKh", 0.5), ("auc", 0.5, "AUC of PCKh", None), ("mean_error", 1.0, mean, None)]
     if space == "2d":
         rows += [("presence_precision", 1.0, "presence precision", None), ("presence_recall", 1.0, "presence recall", None)]
+    else:
+        rows += [("root_relative_error", 1.0, "root-relative MPJPE", None)]
     rows += [("pck", 26.0, "PCK", 26.0)] if space == "2d" else [("pck", 0.10, "PCK", 10.0)]
     for measure, threshold, name, at in rows:
         for joints in ("All", "Wrist"):
@@ -42,7 +44,15 @@ def hits(share: float, frames: int, *, rng: np.random.Generator) -> ModelErrors:
     error = np.where(rng.random((frames, 1)) < share, 0.0, np.inf)
     head = np.ones(frames)
     return ModelErrors(
-        np.arange(frames), np.arange(frames), error, error, head, head, error * np.nan, np.zeros((0, 0, 0), np.int64)
+        np.arange(frames),
+        np.arange(frames),
+        error,
+        error,
+        error * np.nan,
+        head,
+        head,
+        error * np.nan,
+        np.zeros((0, 0, 0), np.int64),
     )
 
 
@@ -102,7 +112,7 @@ def test_a_repeat_that_differs_makes_nothing_sure_of_its_row() -> None:
 def test_parts_are_pooled_over_frames() -> None:
     confusion = np.array([[[90, 0, 0], [0, 5, 5], [0, 0, 10]], [[80, 10, 0], [0, 10, 0], [10, 0, 0]]])
     none, joints = np.zeros(0), np.zeros((0, 1))
-    run = ModelErrors(np.arange(2), np.zeros(0, np.int64), joints, joints, none, none, joints, confusion)
+    run = ModelErrors(np.arange(2), np.zeros(0, np.int64), joints, joints, joints, none, none, joints, confusion)
     found = over_repeats([run], "iou", resamples=0)
     assert found.value == pytest.approx(100 * (15 / 30 + 10 / 25) / 2)  # 15 of 20 true and 25 found; 10 of 20 and 15
     assert over_repeats([run], "person_iou", resamples=0).value == pytest.approx(100 * 30 / 50)

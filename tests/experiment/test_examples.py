@@ -14,7 +14,7 @@ def made(rows: list[list[float]], cluster: list[int] | None = None) -> ModelErro
     count = len(rows)
     apart = np.arange(count) if cluster is None else np.array(cluster)
     return ModelErrors(
-        apart, np.arange(count), error, error / 100, np.full(count, 10.0), np.full(count, 0.1), error * np.nan,
+        apart, np.arange(count), error, error / 100, error * np.nan, np.full(count, 10.0), np.full(count, 0.1), error * np.nan,
         np.zeros((0, 0, 0), np.int64),
     )  # fmt: skip
 

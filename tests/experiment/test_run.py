@@ -30,7 +30,7 @@ from cabinpose.app.experiment.config import load
 from cabinpose.app.experiment.frames import opened
 from cabinpose.app.experiment.page import refuse_other
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
-from cabinpose.app.experiment.results import Results, _ErrorsRead, cell_text, differences_csv, first_differences
+from cabinpose.app.experiment.results import Results, _ErrorsRead, as_many_rows, cell_text, differences_csv, first_differences
 from cabinpose.app.experiment.schedule import _spread, make_cells
 from cabinpose.app.report import raster
 from cabinpose.app.training import stored_frames
@@ -55,6 +55,19 @@ def test_a_mean_error_says_how_many_joints_it_is_of() -> None:
     nothing = OverRepeats(math.nan, math.nan, math.nan, (math.nan,))
     assert cell_text(nothing, 0.0) == ("none found", "")
     assert cell_text(nothing) == ("–", "")
+
+
+def test_frames_that_are_worth_others_are_read_off_by_the_logarithm() -> None:
+    """An error that falls by 1 cm where the frames are doubled: 10 cm at 100, 9 at 200, 8 at 400."""
+    alone = ([100.0, 200.0, 400.0], [10.0, 9.0, 8.0])
+    mixed = ([0.0, 100.0, 200.0, 400.0, 800.0], [10.5, 9.5, 8.5, 8.0, 7.0])
+    rows = as_many_rows({"alone": alone, "mixed": mixed})
+    assert rows[0] == ["", "frames", "as many of alone"]
+    between = [f"{100 * 2**0.5:.0f}", f"{200 * 2**0.5:.0f}"]
+    assert [row[2] for row in rows[1:]] == ["fewer than 100", *between, "400", "more than 400"]
+    shares = {"alone": (alone[0], [50.0, 60.0, 70.0]), "mixed": ([10.0, 20.0, 30.0], [40.0, 65.0, 71.0])}
+    assert [row[2] for row in as_many_rows(shares)[1:]] == ["fewer than 100", f"{200 * 2**0.5:.0f}", "more than 400"]
+    assert len(as_many_rows({"alone": ([100.0], [3.0]), "mixed": mixed})) == 1
 
 
 def test_what_is_not_sure_of_a_difference_stands_in_parentheses(write: Write, tmp_path: Path) -> None:

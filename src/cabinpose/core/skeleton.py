@@ -66,6 +66,12 @@ class Skeleton:
         return MappingProxyType({joint: i for i, joint in enumerate(self.joints)})
 
     @cached_property
+    def root(self) -> str | None:
+        """The joint that all others hang from; None where the set has several without a parent."""
+        roots = [joint for joint in self.joints if joint not in self.parent]
+        return roots[0] if len(roots) == 1 else None
+
+    @cached_property
     def limbs(self) -> tuple[tuple[int, int], ...]:
         """(L, 2) positions of parent and child."""
         return tuple((self.index[parent], self.index[child]) for child, parent in self.parent.items())

@@ -23,6 +23,16 @@ def distances(predicted: Array, true: Array) -> Array:
     return np.linalg.norm(predicted - true, axis=-1)
 
 
+def root_relative_distances(predicted: Array, true: Array, root: int) -> Array:
+    """(S, J) distances after each sample's points (S, J, D) are moved so that the root lies where it is; NaN of the root itself.
+
+    Ionescu et al. (2014), "Human3.6M", protocol 1, of a root that has no error of its own to be averaged.
+    """
+    result = distances(predicted - predicted[:, [root]], true - true[:, [root]])
+    result[:, root] = np.nan
+    return result
+
+
 def aligned_distances(predicted: Array, true: Array) -> Array:
     """(S, J) distances after the best similarity (rotation, translation, scale) of each sample's points (S, J, 3).
 

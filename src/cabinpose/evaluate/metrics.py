@@ -26,6 +26,7 @@ HITS = "true joints that count, found within d"
 _TP_FP = "TP + FP: found within d, or found where there is none"
 _TP_FN = "TP + FN: true joints, found within d or not"
 _IN_A_ROW = "joints that count and were found in three frames in a row"
+_FROM_ROOT = "found joints, but the root, of people whose root counts and was found"
 _ALIGNED = "found joints of people with three or more of them"
 _BOTH_ENDS = "bones of which both ends count and were found"
 _ANSWERED = "joints with a position, however improbable, but those too hidden to count"
@@ -267,6 +268,9 @@ TABLE: Mapping[str, Metric] = MappingProxyType(
         "mar_detected": _pose("mAR (detected)", "%", "more", lambda v: v.share(v.found, v.counts, TRUE, per_joint=True)),
         "left_right_swaps": _pose("left-right swaps", "%", "less", _swaps),
         "jitter": _pose("jitter", "{length}/frame²", "less", lambda v: _known(v, v.errors.jitter, _IN_A_ROW)),
+        "root_relative_mpjpe": _pose(
+            "root-relative MPJPE", "cm", "less", lambda v: _known(v, v.errors.relative, _FROM_ROOT), spaces=("3d",)
+        ),
         "p_mpjpe": _pose("P-MPJPE", "cm", "less", lambda v: _known(v, v.errors.aligned, _ALIGNED), spaces=("3d",)),
         "bone_length_error": _pose(
             "bone length error", "cm", "less", lambda v: _known(v, v.errors.bone, _BOTH_ENDS), spaces=("3d",)

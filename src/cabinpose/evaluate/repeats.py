@@ -21,10 +21,12 @@ from cabinpose.evaluate.metrics import area_to_half, within_head
 from cabinpose.evaluate.samples import Samples
 
 Array = NDArray[np.float64]
-Measure = Literal["pckh", "auc", "pck", "mean_error", "presence_precision", "presence_recall", "iou", "person_iou"]
+Measure = Literal[
+    "pckh", "auc", "pck", "mean_error", "root_relative_error", "presence_precision", "presence_recall", "iou", "person_iou"
+]
 """Of joints: shares within a part of the head size, its area from 0 to 0.5, shares within a distance (%), mean error of those
-found, how many of those that were found are in the image and how many of those in the image were found (%); of body parts: mean
-intersection over union, that of people as a whole (%)."""
+found, in 3D also relative to the root, how many of those that were found are in the image and how many of those in the image
+were found (%); of body parts: mean intersection over union, that of people as a whole (%)."""
 
 
 class ModelErrors(NamedTuple):
@@ -32,6 +34,7 @@ class ModelErrors(NamedTuple):
 
     cluster: (F,) what a frame is drawn with, see `clusters_of` · at: (S,) the frame of each person ·
     error_px, error_m: (S, J) distance to the truth, infinite where the joint was not found, NaN where it does not count ·
+    relative_m: (S, J) the same from the root, NaN where one of both does not count or was not found ·
     head_px, head_m: (S,) head size · presence: (S, J) 3 of joints that count and were found, 2 not found, 1 of joints that a
     right prediction leaves out and were found, 0 left out, NaN of those too hidden to judge · confusion: (F, C, C) or (0, 0, 0).
     """
@@ -40,6 +43,7 @@ class ModelErrors(NamedTuple):
     at: NDArray[np.int64]
     error_px: Array
     error_m: Array
+    relative_m: Array
     head_px: Array
     head_m: Array
     presence: Array
@@ -77,13 +81,14 @@ def errors_of(samples: Samples, joints: Sequence[str] | None = None) -> ModelErr
     """The errors of the samples of one model; joints: their columns, NaN of those that were not judged; default: all judged."""
     spaces = [np.where(s.found, s.error.astype(np.float64), np.inf) for s in (samples.px, samples.m)]
     px, m = (np.where(samples.counts & s.known, error, np.nan) for s, error in zip((samples.px, samples.m), spaces, strict=True))
+    relative = samples.m.relative.astype(np.float64)
     presence = np.where(samples.counts | samples.absent, 2.0 * samples.counts + samples.found, np.nan)
     if joints is not None:
         columns = [joints.index(joint) for joint in samples.skeleton.joints]
-        px, m, presence = (_spread(values, columns, len(joints)) for values in (px, m, presence))
+        px, m, relative, presence = (_spread(values, columns, len(joints)) for values in (px, m, relative, presence))
     heads = (samples.px.head.astype(np.float64), samples.m.head.astype(np.float64))
     drawn_with = clusters_of(samples.sequence, samples.sync_ns)
-    return ModelErrors(drawn_with, samples.at, px, m, *heads, presence, np.zeros((0, 0, 0), np.int64))
+    return ModelErrors(drawn_with, samples.at, px, m, relative, *heads, presence, np.zeros((0, 0, 0), np.int64))
 
 
 def _spread(values: Array, columns: list[int], count: int) -> Array:
@@ -185,7 +190,12 @@ def accuracy_curve(run: ModelErrors, thresholds: Array, space: str, joints: Sequ
 def _joint_errors(run: ModelErrors, space: str, joints: Sequence[int] | None) -> tuple[Array, Array]:
     """(S, J) errors of some joints in a space, and (S, 1) head sizes."""
     errors, head = (run.error_px, run.head_px) if space == "2d" else (run.error_m, run.head_m)
-    return (errors if joints is None else errors[:, list(joints)]), head[:, None]
+    return _of(errors, joints), head[:, None]
+
+
+def _of(values: Array, joints: Sequence[int] | None) -> Array:
+    """Those (S, J) of some joints."""
+    return values if joints is None else values[:, list(joints)]
 
 
 def _resampled(
@@ -200,6 +210,8 @@ def _resampled(
             return np.asarray(100.0 * intersection_over_union(whole_person(totals))[:, 1])
         return np.asarray(100.0 * np.nanmean(intersection_over_union(totals)[:, 1:], axis=1))
     errors, head = _joint_errors(run, space, joints)
+    if measure == "root_relative_error":
+        errors = _of(run.relative_m, joints)
     counts = ~np.isnan(errors)
     if measure in ("pckh", "auc"):
         counts &= np.isfinite(head)
@@ -207,7 +219,7 @@ def _resampled(
     elif measure == "pck":
         top = errors <= np.float32(threshold)
     elif measure in ("presence_precision", "presence_recall"):
-        presence = run.presence if joints is None else run.presence[:, list(joints)]
+        presence = _of(run.presence, joints)
         top = presence == 3.0
         counts = top | (presence == (1.0 if measure == "presence_precision" else 2.0))
     else:

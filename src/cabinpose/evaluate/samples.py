@@ -44,12 +44,14 @@ class Space(NamedTuple):
     """Errors of S samples in one space, px or m, all (S, J), NaN where there is nothing to measure.
 
     found: whether the joint was found here · error: its distance to the truth · swap: 1 or 0 at the left joint of a pair ·
-    jitter: acceleration error a frame² · aligned, bone: in 3D only · head: (S,) head size · known: whether the truth is known
-    here; in 3D it is not of every joint that counts where labels of images were lifted by the depth.
+    jitter: acceleration error a frame² · relative, aligned, bone: in 3D only, from the root and by the best similarity ·
+    head: (S,) head size · known: whether the truth is known here; in 3D it is not of every joint that counts where labels of
+    images were lifted by the depth.
     """
 
     found: Bool
     error: Float
+    relative: Float
     aligned: Float
     bone: Float
     swap: Float
@@ -236,12 +238,14 @@ def _near(given: PoseBatch, true_2d: Float, true_3d: Float, options: EvaluationO
 
 def _space(skeleton: Skeleton, predicted: Float, true: NDArray[np.floating], found: Bool, head: Float, jitter: Float) -> Space:
     p, t = predicted.astype(np.float64), true.astype(np.float64)
-    aligned = bone = np.full(found.shape, np.nan)
+    relative = aligned = bone = np.full(found.shape, np.nan)
     if predicted.shape[-1] == 3:
         aligned, bone = errors.aligned_distances(p, t), errors.bone_length_errors(p, t, skeleton.limbs)
-    measured = errors.distances(p, t), aligned, bone, errors.swaps(p, t, skeleton.pairs)
-    distance, aligned, bone, swap = (x.astype(np.float32) for x in measured)
-    return Space(found, distance, aligned, bone, swap, jitter, head, errors.finite(t))
+        if skeleton.root is not None:
+            relative = errors.root_relative_distances(p, t, skeleton.index[skeleton.root])
+    measured = errors.distances(p, t), relative, aligned, bone, errors.swaps(p, t, skeleton.pairs)
+    distance, relative, aligned, bone, swap = (x.astype(np.float32) for x in measured)
+    return Space(found, distance, relative, aligned, bone, swap, jitter, head, errors.finite(t))
 
 
 def _jitter(

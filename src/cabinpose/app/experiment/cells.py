@@ -286,7 +286,7 @@ def _judged(dataset: Any, model: Path, slots: tuple[str, ...]) -> tuple[ModelErr
         counts = [confusion(t, a, count) for truth, answer in pairs(dataset, found) for t, a in zip(truth, answer, strict=True)]
         none, nobody = np.zeros((0, 1)), np.zeros(0)
         drawn_with = clusters_of(*(dataset[name].values.astype(np.int64) for name in ("sequence", "sync_ns")))
-        errors = ModelErrors(drawn_with, np.zeros(0, np.int64), none, none, nobody, nobody, none, np.stack(counts))
+        errors = ModelErrors(drawn_with, np.zeros(0, np.int64), none, none, none, nobody, nobody, none, np.stack(counts))
         return errors, tuple(part.name for part in found.parts)
     samples, _ = samples_of(dataset, found, EvaluationOptions(resamples=0), persons=slots)
     joints = tuple(joint for joint in SKELETONS[samples.skeleton.name].joints if joint in found.joints)

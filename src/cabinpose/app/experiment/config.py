@@ -138,6 +138,10 @@ class JudgedFrames(Keys):
     trainings: tuple[str, ...] = Field((), description="Rows that are judged on them; left out: all.")
 
 
+MEAN_ERRORS = ("mean_error", "root_relative_error")
+"""Measures of joints that were found, whose share stands beside them; less is better."""
+
+
 class TableColumn(Keys):
     """A column of the table."""
 
@@ -152,6 +156,8 @@ class TableColumn(Keys):
     def _threshold(self) -> Self:
         if self.measure == "pck" and self.threshold is None:
             raise ConfigError(f"column {self.title}: pck is within a threshold", hint="give threshold: 10 of px, 0.1 of m")
+        if self.measure == "root_relative_error" and self.space == "2d":
+            raise ConfigError(f"column {self.title}: {self.measure} is in space", hint="give space: 3d")
         if self.measure not in ("pck", "pckh") and self.threshold is not None:
             raise ConfigError(f"column {self.title}: {self.measure} has no threshold", hint="leave threshold out")
         return self

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.experiment.cells import TestCell
+from cabinpose.app.experiment.config import MEAN_ERRORS
 from cabinpose.app.experiment.frames import opened
 from cabinpose.app.experiment.plan import ExperimentPlan
 from cabinpose.app.experiment.results import Results
@@ -87,7 +88,7 @@ def shown_frames(plan: ExperimentPlan, results: Results) -> ShownFrames:
         column = next((column for column in plan.experiment.columns if column.test == test), None)
         if column is None:
             continue
-        sign = -1.0 if column.measure == "mean_error" else 1.0
+        sign = -1.0 if column.measure in MEAN_ERRORS else 1.0
         known = {row: n.value for row in plan.experiment.trainings if (n := results.numbers[row, column.title]) is not None}
         known = {row: sign * value for row, value in known.items() if np.isfinite(value)}
         if not known:

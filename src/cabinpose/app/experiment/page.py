@@ -15,6 +15,7 @@ from cabinpose.app.experiment.plan import ExperimentPlan, same_cells
 from cabinpose.app.experiment.results import (
     Lines,
     Results,
+    as_many_rows,
     cell_text,
     cost_rows,
     csv_text,
@@ -41,6 +42,10 @@ _DIFFERENCES = (
     "How far a row is above another: that at the left less that above. In parentheses: less far than 95 of 100 resamples tell, "
     "which draw the same sequences and frames for both, and what repeats of one row differ by, of all rows together. Of twenty "
     "pairs that do not differ one stands without parentheses. All columns, with intervals, are in differences.csv."
+)
+_AS_MANY = (
+    "Below each chart: as many frames of the first line, between its points by the logarithm of their numbers, have the value of "
+    "those of another line. Read off the lines, without an interval."
 )
 _ACROSS = 4  # frames of a contact sheet
 _NAMES = 8  # of cells in a line
@@ -177,7 +182,7 @@ def page_html(plan: ExperimentPlan, results: Results, shown: ShownFrames, protoc
         section("Differences", _differences(plan, results), _DIFFERENCES),
         section("Accuracy over thresholds", _accuracies(results), "Per cent of all joints within a part of the head size."),
         section("Frames of the tests", _frames_shown(shown), RULE),
-        section("Over numbers of frames", _over_frames(results)),
+        section("Over numbers of frames", _over_frames(results), _AS_MANY),
         section("Training", _losses(plan), "Training loss, blue, and validation loss, red, of the first repeat."),
         section("How it was measured", join(el("p", line) for line in protocol)),
         section("Frames", table(_frame_rows(plan))),
@@ -248,11 +253,13 @@ def _over_frames(results: Results) -> str:
     drawn = []
     for title, lines in results.curves.items():
         drawn += [legend(lines), charts([_over_count(title, lines)], "two")]
+        if len(rows := as_many_rows(lines)) > 1:
+            drawn.append(table(rows, words=(0,)))
     return join(drawn)
 
 
 def _over_count(title: str, lines: Lines) -> Html:
-    return series_chart(title, "frames", lines, size=(640, 300))
+    return series_chart(title, "frames", lines, size=(640, 300), stops=True)
 
 
 def _losses(plan: ExperimentPlan) -> str:

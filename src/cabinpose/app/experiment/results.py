@@ -7,12 +7,13 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from cabinpose.app.experiment.cells import TestCell, TrainCell
-from cabinpose.app.experiment.config import TableColumn
+from cabinpose.app.experiment.config import MEAN_ERRORS, TableColumn
 from cabinpose.app.experiment.plan import ExperimentPlan, joints_of
 from cabinpose.core import CABINPOSE
 from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, RowDifference, accuracy_curve, over_repeats, row_differences
@@ -58,7 +59,7 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
         (row, column.title): share.value
         for row in experiment.trainings
         for column in experiment.columns
-        if column.measure == "mean_error"
+        if column.measure in MEAN_ERRORS
         if (share := _number(known.runs(plan.tested.get((row, column.test), ())), _found(column), 0)) is not None
     }
     accuracy, by_joint, judged_on = {}, {}, dict[str, str]()
@@ -197,6 +198,24 @@ def table_rows(plan: ExperimentPlan, results: Results) -> list[list[str]]:
                 *("–" if figure is None else f"{figure:g}" for figure in theirs),
             ]
         )
+    return rows
+
+
+def as_many_rows(lines: Lines) -> list[list[str]]:
+    """How many frames of the first line have the value of each point of the others, at the first place where it has that."""
+    (first, (counts, values)), *others = lines.items()
+    known = [(math.log(n), value) for n, value in zip(counts, values, strict=True) if n > 0 and math.isfinite(value)]
+    rows = [["", "frames", f"as many of {first}"]]
+    if len(known) < 2:
+        return rows
+    better = 1.0 if known[-1][1] > known[0][1] else -1.0  # what more frames do
+    for name, points in others:
+        for count, value in zip(*points, strict=True):
+            told = f"fewer than {math.exp(known[0][0]):.0f}" if better * (value - known[0][1]) < 0 else ""
+            for (n, low), (m, high) in pairwise(known):
+                if not told and min(low, high) <= value <= max(low, high) and low != high:
+                    told = f"{math.exp(n + (m - n) * (value - low) / (high - low)):.0f}"
+            rows.append([name, f"{count:.0f}", told or f"more than {math.exp(known[-1][0]):.0f}"])
     return rows
 
 

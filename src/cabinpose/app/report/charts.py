@@ -19,14 +19,17 @@ COLOURS = (
 
 
 class Axis(NamedTuple):
-    """Values from the least to the greatest, on a linear or a logarithmic scale."""
+    """Values from the least to the greatest, on a linear or a logarithmic scale, or with stops as far from each other."""
 
     low: float
     high: float
     log: bool = False
+    stops: tuple[float, ...] = ()
 
     def share(self, value: float) -> float:
         """Where a value is between the ends, 0 to 1."""
+        if self.stops:
+            return float(np.interp(value, self.stops, np.linspace(0.0, 1.0, len(self.stops))))
         low, at, high = (np.log10(v) if self.log else float(v) for v in (self.low, value, self.high))
         return float((at - low) / (high - low))
 
@@ -71,9 +74,10 @@ class Plot:
             self.body += [line(self.left, level, self.right, level, "grid"), text(self.left - 6, level + 4, f"{value:g}", "end")]
 
     def columns(self, unit: str = "") -> None:
-        """Marks at about six round values of x, with numbers."""
-        step = nice_step((self.x[1] - self.x[0]) / 6)
-        for value in np.arange(np.ceil(self.x[0] / step - 1e-9) * step, self.x[1] + step * 1e-9, step):
+        """Marks at the stops of x, or at about six round values, with numbers."""
+        step = nice_step((self.x.high - self.x.low) / 6)
+        round_values = np.arange(np.ceil(self.x.low / step - 1e-9) * step, self.x.high + step * 1e-9, step)
+        for value in self.x.stops or round_values:
             x = self.at(float(value), self.y[0])[0]
             self.body += [
                 line(x, self.bottom, x, self.bottom + 4, "axis"), text(x, self.bottom + 17, f"{value + 0.0:g}{unit}", "middle"),
@@ -97,12 +101,12 @@ class Plot:
 
 def series_chart(
     title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], *, scale: ValueScale = _LINEAR,
-    size: tuple[int, int] = (420, 220), diagonal: bool = False, marks: Mapping[str, float] | None = None,
+    size: tuple[int, int] = (420, 220), diagonal: bool = False, marks: Mapping[str, float] | None = None, stops: bool = False,
 ) -> Html:  # fmt: skip
     """Lines over x, for each its xs and ys, with 0 in view; one without points keeps its colour.
 
     A line breaks where a value is not finite. size: width and height · diagonal: with the line on which y is x · marks: upright
-    lines at values of x, by the words beside them.
+    lines at values of x, by the words beside them · stops: the xs of all lines are as far from each other, and points are dots.
     """
     known = [(x, y) for xs, ys in lines.values() for x, y in zip(xs, ys, strict=False) if np.isfinite(y)]
     xs, ys = zip(*known, strict=True) if known else ((0.0, 1.0), (0.0, 1.0))
@@ -113,7 +117,8 @@ def series_chart(
         step = nice_step(max(high - low, 1e-9) / 5)
         rows = (np.arange(np.floor(low / step), max(np.ceil(high / step - 1e-9), 1) + 0.5) * step).tolist()
     y = Axis(rows[0], rows[-1], scale.log)
-    plot = Plot(title, size, Axis(min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1.0), y)
+    at = tuple(sorted({*xs})) if stops else ()
+    plot = Plot(title, size, Axis(min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1.0, stops=at), y)
     plot.rows(rows)
     plot.columns()
     for i, (words, x) in enumerate((marks or {}).items()):
@@ -128,6 +133,8 @@ def series_chart(
         plot.body.append(line(*plot.at(ends[0], ends[0]), *plot.at(ends[1], ends[1]), "axis"))
     for name, colour in reversed(list(zip(lines, colours_of(lines), strict=True))):  # the first is drawn last, on top
         plot.body.append(el("path", el("title", name), d=plot.path(*lines[name]), fill="none", stroke=colour, stroke_width=1.8))
+        for u, v in (plot.at(x, y) for x, y in zip(*lines[name], strict=False) if stops and np.isfinite(y)):
+            plot.body.append(el("circle", cx=f"{u:.1f}", cy=f"{v:.1f}", r=3, fill=colour))
     return plot.svg(x_label)
 
 
