@@ -486,10 +486,10 @@ def contents(drawn: Iterable[Drawn]) -> dict[str, set[Any]]:
     found: dict[str, set[Any]] = {"subject": set(), "car": set(), "sequence": set(), "frame": set()}
     for piece, positions in (each for one in drawn for each in one):
         whole = open_dataset(piece.folder)
-        some = whole.isel(frame=positions)
+        some, origin = whole.isel(frame=positions), _origin(piece, whole)
         found["subject"] |= individuals(some)
         found["car"] |= _cars(some)
         if len(np.unique(whole["sequence"])) > 1:
-            found["sequence"] |= {(_origin(piece, whole), int(each)) for each in np.unique(some["sequence"])}
-        found["frame"] |= {(_origin(piece, whole), int(each)) for each in some["frame"]}
+            found["sequence"] |= {(origin, each) for each in np.unique(some["sequence"]).tolist()}
+        found["frame"] |= {(origin, each) for each in some["frame"].values.tolist()}
     return found
