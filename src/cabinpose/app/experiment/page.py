@@ -259,7 +259,7 @@ def _over_frames(results: Results) -> str:
 
 
 def _over_count(title: str, lines: Lines) -> Html:
-    return series_chart(title, "frames", lines, size=(640, 300), stops=True)
+    return series_chart(title, "frames", lines, scale=ValueScale(stops=True), size=(640, 300))
 
 
 def _losses(plan: ExperimentPlan) -> str:

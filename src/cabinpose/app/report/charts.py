@@ -43,10 +43,13 @@ class Margins(NamedTuple):
 
 
 class ValueScale(NamedTuple):
-    """How values are drawn upwards: up to `top` (default: that of the lines); on a logarithmic scale, which has no 0."""
+    """How values are drawn: up to `top` (default: that of the lines); upwards on a logarithmic scale, which has no 0; with the xs
+    of all lines as stops that are as far from each other, and dots at the points.
+    """
 
     top: float | None = None
     log: bool = False
+    stops: bool = False
 
 
 _MARGINS, _LINEAR = Margins(), ValueScale()
@@ -101,12 +104,12 @@ class Plot:
 
 def series_chart(
     title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], *, scale: ValueScale = _LINEAR,
-    size: tuple[int, int] = (420, 220), diagonal: bool = False, marks: Mapping[str, float] | None = None, stops: bool = False,
+    size: tuple[int, int] = (420, 220), diagonal: bool = False, marks: Mapping[str, float] | None = None,
 ) -> Html:  # fmt: skip
     """Lines over x, for each its xs and ys, with 0 in view; one without points keeps its colour.
 
     A line breaks where a value is not finite. size: width and height · diagonal: with the line on which y is x · marks: upright
-    lines at values of x, by the words beside them · stops: the xs of all lines are as far from each other, and points are dots.
+    lines at values of x, by the words beside them.
     """
     known = [(x, y) for xs, ys in lines.values() for x, y in zip(xs, ys, strict=False) if np.isfinite(y)]
     xs, ys = zip(*known, strict=True) if known else ((0.0, 1.0), (0.0, 1.0))
@@ -117,7 +120,7 @@ def series_chart(
         step = nice_step(max(high - low, 1e-9) / 5)
         rows = (np.arange(np.floor(low / step), max(np.ceil(high / step - 1e-9), 1) + 0.5) * step).tolist()
     y = Axis(rows[0], rows[-1], scale.log)
-    at = tuple(sorted({*xs})) if stops else ()
+    at = tuple(sorted({*xs})) if scale.stops else ()
     plot = Plot(title, size, Axis(min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1.0, stops=at), y)
     plot.rows(rows)
     plot.columns()
@@ -133,7 +136,7 @@ def series_chart(
         plot.body.append(line(*plot.at(ends[0], ends[0]), *plot.at(ends[1], ends[1]), "axis"))
     for name, colour in reversed(list(zip(lines, colours_of(lines), strict=True))):  # the first is drawn last, on top
         plot.body.append(el("path", el("title", name), d=plot.path(*lines[name]), fill="none", stroke=colour, stroke_width=1.8))
-        for u, v in (plot.at(x, y) for x, y in zip(*lines[name], strict=False) if stops and np.isfinite(y)):
+        for u, v in (plot.at(x, y) for x, y in zip(*lines[name], strict=False) if scale.stops and np.isfinite(y)):
             plot.body.append(el("circle", cx=f"{u:.1f}", cy=f"{v:.1f}", r=3, fill=colour))
     return plot.svg(x_label)
 
