@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional
 
 from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, several, workers_of
-from cabinpose.app.cli.output import ProgressReport, print_json, print_table, printable, progress
+from cabinpose.app.cli.output import ProgressReport, every, print_json, print_table, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError, unknown_name
 
@@ -147,19 +147,25 @@ def _run(command: RunExperiment) -> None:
     there = [cell for cell in cells if cell.done]
     asked |= {"code": code_state(), "resamples": command.resamples}
     whole_s = round(sum(cell.expected_s for cell in cells))
-    with _going_on(folder), progress(whole_s, "s of work", start=_made_s(cells)) as shown, _counted(cells, shown) as notes:
+    notes = [""]
+    with _going_on(folder), progress(whole_s, "s of work", start=_made_s(cells)) as shown:
+
+        def count() -> None:
+            """Of cells under way too, whoever makes them: a training is minutes."""
+            shown(_made_s(cells), notes[-1])
 
         def told(cell: ExperimentCell, record: dict[str, Any]) -> None:
             there.append(cell)
             notes.append(f"{len(there)} of {len(cells)} cells, {cell.name} made in {record['cpu_s']:.0f} CPU s")
-            shown(_made_s(cells), notes[-1])
+            count()
 
-        datasets = [cell for cell in missing if isinstance(cell, DataCell)]
-        make_cells(datasets, workers, told)
-        if missing:
-            plan.check_frames(cells)
-            begin(folder, asked)
-        make_cells([cell for cell in missing if not isinstance(cell, DataCell)], workers, told)
+        with every(_COUNTED_S, count):
+            datasets = [cell for cell in missing if isinstance(cell, DataCell)]
+            make_cells(datasets, workers, told)
+            if missing:
+                plan.check_frames(cells)
+                begin(folder, asked)
+            make_cells([cell for cell in missing if not isinstance(cell, DataCell)], workers, told)
     asked["made"] = [cell.key for cell in plan.cells if cell.done]
     if missing or not is_written(folder, asked):
         write_results(folder, plan, results_of(plan, command.resamples), asked)
@@ -181,26 +187,6 @@ def _going_on(folder: Path) -> Iterator[None]:
         shown = f", and `cabinpose experiment report {folder}` shows it" if folder.exists() else ""
         print(f"what is made stays: the same command goes on{shown}", file=sys.stderr)
         raise
-
-
-@contextmanager
-def _counted(cells: Sequence[ExperimentCell], shown: ProgressReport) -> Iterator[list[str]]:
-    """Show, with the last of the notes, how far the cells under way are, whoever makes them: a training is minutes."""
-    from threading import Event, Thread
-
-    notes, over = [""], Event()
-
-    def count() -> None:
-        while not over.wait(_COUNTED_S):
-            shown(_made_s(cells), notes[-1])
-
-    thread = Thread(target=count, daemon=True)
-    thread.start()
-    try:
-        yield notes
-    finally:
-        over.set()
-        thread.join()
 
 
 def _made_s(cells: Sequence[ExperimentCell]) -> int:

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from threading import Event, Lock, Thread
@@ -152,6 +152,24 @@ class ProgressReport:
 
 
 @contextmanager
+def every(seconds: float, call: Callable[[], None]) -> Iterator[None]:
+    """Call something again and again while the block runs, beside it."""
+    over = Event()
+
+    def beat() -> None:
+        while not over.wait(seconds):
+            call()
+
+    thread = Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+@contextmanager
 def progress(total: int = 0, unit: str = "", *, start: int = 0, silent: bool = False) -> Iterator[ProgressReport]:
     """A `ProgressReport` of `total` items, of which `start` exist already; its bar disappears when the block ends.
 
@@ -161,19 +179,9 @@ def progress(total: int = 0, unit: str = "", *, start: int = 0, silent: bool = F
         yield ProgressReport(None, total, unit, start, first=math.inf)
         return
     if not sys.stderr.isatty():
-        report, over = ProgressReport(None, total, unit, start), Event()
-
-        def beat() -> None:
-            while not over.wait(_BEAT_S):
-                report.tell()
-
-        thread = Thread(target=beat, daemon=True)
-        thread.start()
-        try:
+        report = ProgressReport(None, total, unit, start)
+        with every(_BEAT_S, report.tell):
             yield report
-        finally:
-            over.set()
-            thread.join()
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
