@@ -64,7 +64,9 @@ def lost_work(command: Command, inputs: Path, work: Path, brief: bool) -> tuple[
         spent = run(fault=KILL, at=at)
         if place.exists() and command.again is None:
             shutil.rmtree(place)  # it refuses to go on there
-        costs.append(spent + run(command.again or "" if place.exists() else "") - whole)
+        again = run(command.again or "" if place.exists() else "")
+        # Neither does more than a run that is left alone: what it takes beyond that is the machine's, not the kill's.
+        costs.append(min(spent, whole) + min(again, whole) - whole)
     return whole, max(costs)
 
 
