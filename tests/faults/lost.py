@@ -110,7 +110,7 @@ def lost_samples(work: Path, kills: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Measure, and print a table. What is promised is counted, in frames, epochs, samples and labels, by the tests of each room."""
+    """Measure, and print a table. What is promised is counted, in frames, epochs, samples and labels, by the rooms' tests."""
     outputs.SHIM = outputs.Shim()
     outputs.load_all()
     names = sys.argv[1:]
