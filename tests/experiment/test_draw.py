@@ -51,6 +51,28 @@ def test_nobody_learns_from_a_sequence_that_validation_cuts(monkeypatch: pytest.
     assert len(positions(learnt)) == 12
 
 
+def test_people_and_cars_of_a_folder_are_those_of_the_selection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who selects by car is not refused for people that other cars have, and the other way round."""
+    shown = {"car": ["a", "a", "b", "b"], "subject": [["P"], ["Q"], ["Q"], ["R"]], "seed": [1, 1, 1, 1]}
+    dims = {"subject": ("frame", "slot")}
+    frames._shown_in.cache_clear()
+
+    def of(**part: Any) -> SelectedFrames:
+        source = selected(monkeypatch, [0] * 4, **part)
+        dataset = open_in_memory().assign_coords({name: (dims.get(name, "frame"), values) for name, values in shown.items()})
+        monkeypatch.setattr(frames, "open_dataset", lambda _: dataset)
+        return source
+
+    def open_in_memory() -> Any:
+        return frames.open_dataset(Path("real"))
+
+    first = of(car=("a",))
+    assert (first.people, first.cars) == ({("P", None), ("Q", None)}, {("a", None)})
+    last = of(subject=("R",))
+    assert (last.people, last.cars) == ({("R", None)}, {("b", None)})
+    frames._shown_in.cache_clear()
+
+
 def test_of_one_sequence_what_stands_together_validates(monkeypatch: pytest.MonkeyPatch) -> None:
     judged = positions(draw(selected(monkeypatch, [0] * 20, frames=6), [], "v", whole_sequences=True))
     assert judged == [*range(judged[0], judged[0] + 6)]

@@ -152,6 +152,25 @@ def test_a_scale_keeps_numbers_above_the_least() -> None:
     assert scale.count(20, scaled=False) == 20
 
 
+def test_a_factor_keeps_the_papers_least_where_it_says_one(write: Write) -> None:
+    assert load(write()).scale("0.5").least == 200
+    assert load(write({"scales": {"paper": {"least": 50}}})).scale("0.5").least == 50
+
+
+def test_a_column_is_of_the_rows_that_its_test_judges(write: Write, tmp_path: Path) -> None:
+    """Joints and body parts in one file, each with a test of its own."""
+    part = {"train": [{"data": "real", "subject": ["P1"]}], "validation": [{"data": "real", "subject": ["P2"]}]}
+    parts = {**part, "recipe": {"method": "unet", "settings": None, "batch": None}}
+    tests = {name: {"frames": [{"data": "real", "subject": ["P3"]}], "trainings": [row], "may_share": ["car"]}
+             for name, row in (("T", "R1"), ("U", "B"))}  # fmt: skip
+    columns = [{"title": "PCKh@0.5", "test": "T"}, {"title": "IoU", "test": "U", "measure": "iou"}]
+    changes = {"trainings": {"B": parts}, "tests": tests, "columns": columns}
+    assert set(make_plan(load(write(changes)), "paper", tmp_path, {}).tested) == {("R1", "T"), ("B", "U")}
+    tests["U"]["trainings"] = ["B", "R1"]
+    with pytest.raises(ConfigError, match="column IoU: iou is not measured of joints, which R1 finds"):
+        make_plan(load(write(changes)), "paper", tmp_path, {})
+
+
 def test_one_mapping_over_another() -> None:
     assert merged({"a": {"b": 1, "c": 2}, "d": [1]}, {"a": {"b": None, "e": 3}, "d": [2]}) == {"a": {"c": 2, "e": 3}, "d": [2]}
 
@@ -227,6 +246,20 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "two tests of one picture": (
         {"tests": {"a b": {"frames": [{"data": "real", "subject": ["P3"]}]}, "A-b": {"frames": [{"data": "real"}]}}},
         "tests: 'a b' and 'A-b' are one name", "call one of them otherwise",
+    ),
+    "two rows of one picture": (
+        {"trainings": {"r1": {"train": [{"data": "real", "subject": ["P1"]}], "validation": [{"data": "real"}]}}},
+        "trainings: 'R1' and 'r1' are one name", "call one of them otherwise",
+    ),
+    "tuning what has one epoch": (
+        {"scales": {"paper": {"steps": 1}}, "trainings": {"R1": {"fine_tune": {
+            "train": [{"data": "real", "subject": ["P1"]}], "validation": [{"data": "real", "subject": ["P2"]}]}}}},
+        "training R1 has one epoch, and cannot be tuned", "ask for more epochs",
+    ),
+    "tuning what is fitted in one go": (
+        {"recipe": {"method": "walks", "settings": None, "batch": None}, "trainings": {"R1": {"fine_tune": {
+            "train": [{"data": "real", "subject": ["P1"]}], "validation": [{"data": "real", "subject": ["P2"]}]}}}},
+        "training R1 is of walks, fitted in one go, and cannot be tuned", "leave `fine_tune` out",
     ),
     "pck of no threshold": (
         {"columns": [{"title": "A", "test": "T", "measure": "pck"}], "published": None},

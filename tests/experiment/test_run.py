@@ -26,18 +26,26 @@ from distributed import LocalCluster
 
 from cabinpose.app.cli.interrupt import Ended
 from cabinpose.app.experiment.cells import ExperimentCell, _sides
-from cabinpose.app.experiment.config import load
+from cabinpose.app.experiment.config import TableColumn, load
 from cabinpose.app.experiment.frames import opened
-from cabinpose.app.experiment.page import refuse_other
+from cabinpose.app.experiment.page import begin, refuse_other
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
-from cabinpose.app.experiment.results import Results, _ErrorsRead, as_many_rows, cell_text, differences_csv, first_differences
+from cabinpose.app.experiment.results import (
+    Results,
+    _ErrorsRead,
+    _found_share,
+    as_many_rows,
+    cell_text,
+    differences_csv,
+    first_differences,
+)
 from cabinpose.app.experiment.schedule import _spread, make_cells
 from cabinpose.app.report import raster
 from cabinpose.app.training import stored_frames
 from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.estimate import TrainConfig, frame_spec
 from cabinpose.estimate.batch import NOT_LABELLED
-from cabinpose.evaluate import OverRepeats, RowDifference
+from cabinpose.evaluate import ModelErrors, OverRepeats, RowDifference
 from cabinpose.store import labelled_joints, open_dataset
 
 Write = Callable[..., Path]
@@ -153,6 +161,13 @@ def test_from_end_to_end(write: Write, run: Run, tmp_path: Path) -> None:
         refuse_other(moved, asked | {"data": {"real": "my-cars"}})
 
 
+def test_what_is_asked_for_last_is_what_report_shows(tmp_path: Path) -> None:
+    """Also where a page of the file before a row was added is there, and the run of the new one never ends."""
+    for experiment in ({"title": "one row"}, {"title": "two rows"}):
+        begin(tmp_path, {"file": "a.yaml", "experiment": experiment})
+    assert json.loads((tmp_path / "experiment.json").read_text())["experiment"] == {"title": "two rows"}
+
+
 @pytest.mark.slow
 def test_a_kill_loses_the_epoch_under_way_at_most(
     write: Write, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -235,6 +250,24 @@ def test_numbers_are_of_the_repeats_that_are_there() -> None:
     assert list(_ErrorsRead().runs(cells)) == ["a", "c"]
 
 
+def test_a_mean_error_says_over_which_joints_it_is() -> None:
+    """By hand: from the root it is over joints but the root, of people whose root was found."""
+    names = ("hips", "head", "neck")
+    metres = np.array([[0.1, 0.1, np.inf], [np.inf, 0.1, np.nan]])
+    relative = np.array([[np.nan, 0.2, np.nan], [np.nan, np.nan, np.nan]])
+    errors = ModelErrors(
+        np.arange(2), np.arange(2), metres * 100, metres, relative, np.ones(2), np.ones(2), metres * np.nan,
+        np.zeros((0, 0, 0), np.int64),
+    )  # fmt: skip
+    mean, from_root = (
+        TableColumn(title="A", test="T", measure=measure, space="3d") for measure in ("mean_error", "root_relative_error")
+    )
+    assert _found_share([(errors, names)], mean, "hips") == pytest.approx(100 * 3 / 5)
+    assert _found_share([(errors, names)], from_root, "hips") == pytest.approx(100 * 1 / 3)
+    whole = errors._replace(relative_m=np.array([[np.nan, 0.2, 0.1], [np.nan, 0.2, np.nan]]))
+    assert _found_share([(errors, names), (whole, names)], from_root, "hips") == pytest.approx((100 / 3 + 100) / 2)
+
+
 @pytest.mark.slow
 def test_frames_that_a_folder_shares_are_refused(write: Write, run: Run, tmp_path: Path) -> None:
     """The user's folder in place of the stand-in shows who is in it: whoever is tested must not be learnt from."""
@@ -311,6 +344,9 @@ def test_draws_are_the_same_nested_and_apart(write: Write, tmp_path: Path) -> No
         return [[int(i) for each in side for _, positions in each for i in positions] for side in cell.drawn()]
 
     assert open_dataset(folder).sizes["frame"] == 4
+    assert not plan.made[0].record["resumed"]
+    (plan.made[0].folder / "cell.json").unlink()
+    assert plan.made[0].make()["resumed"]  # its frames lie beside its record
     few, more = drawn(1, 1), drawn(3, 1)
     assert set(few[0]) < set(more[0])
     assert few[1] == more[1]
@@ -348,6 +384,17 @@ def test_a_cluster_makes_each_cell_after_those_that_it_needs(tmp_path: Path) -> 
     assert all(all(cell.record["there"]) for cell in cells)
     make_cells(cells, 1, lambda cell, _: made.append(cell.name))
     assert len(made) == 4
+
+
+def test_workers_of_several_threads_are_refused(tmp_path: Path) -> None:
+    with (
+        LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None,
+        ) as cluster,
+        pytest.raises(ConfigError, match="makes several cells at a time") as caught,
+    ):  # fmt: skip
+        make_cells([Note("a", "a", tmp_path / "a", (), 0.0)], cluster.scheduler_address, lambda *_: None)
+    assert "--nthreads 1" in caught.value.hint
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ class ExperimentCell(ABC):
     def make(self) -> dict[str, Any]:
         """Make it, going on with what an interrupted run has left; its record."""
         make_folder(self.folder)
-        resumed = any(self.folder.iterdir())
+        resumed = self._left
         wall, cpu = time.perf_counter(), time.process_time()
         facts = self._made()
         spent = {"cpu_s": time.process_time() - cpu, "wall_s": time.perf_counter() - wall, "resumed": resumed}
@@ -95,6 +95,11 @@ class ExperimentCell(ABC):
     @abstractmethod
     def frame_count(self) -> int:
         """How many frames it makes, learns from or judges, as far as it is known before it is made."""
+
+    @property
+    def _left(self) -> bool:
+        """Whether an earlier run has left something of it."""
+        return any(self.folder.iterdir())
 
     def _begun(self) -> float:
         """How much of it an interrupted run has left, or one that goes on has made; nothing where that is not known."""
@@ -123,6 +128,10 @@ class DataCell(ExperimentCell):
     @property
     def frame_count(self) -> int:
         return self.piece.frames
+
+    @property
+    def _left(self) -> bool:
+        return super()._left or self.piece.folder.exists()
 
     def _begun(self) -> float:
         if not self.piece.recorded:

@@ -211,6 +211,7 @@ class Experiment(Keys):
         _apart("columns", titles)
         _apart("curves", [curve.title for curve in self.curves])
         _apart("tests", list(self.tests))
+        _apart("trainings", list(self.trainings))
         for name, row in self.trainings.items():
             sides: list[Training | FineTuning] = [row, *([row.fine_tune] if row.fine_tune else [])]
             for part in (part for each in sides for part in (*each.train, *each.validation)):
@@ -261,7 +262,7 @@ class Experiment(Keys):
 
     def scale(self, name: str) -> RunScale:
         """The scale of a name, or the paper's with frames and batches times a factor; to validate and to test on
-        never below 200 frames.
+        never below its `least`, 200 frames if left out.
 
         Raises ConfigError for a name that is neither.
         """
@@ -275,7 +276,8 @@ class Experiment(Keys):
             raise ConfigError(f"{name} is no scale", hint=f"give a number above 0, or one of: {', '.join(self.scales)}")
         paper = self.scales["paper"]
         steps = None if paper.steps is None else max(round(paper.steps * factor), 1)
-        return paper.model_copy(update={"frames": paper.frames * factor, "least": 200, "steps": steps})
+        least = paper.least if "least" in paper.model_fields_set else 200
+        return paper.model_copy(update={"frames": paper.frames * factor, "least": least, "steps": steps})
 
 
 def file_name(name: str) -> str:

@@ -84,9 +84,11 @@ class SelectedFrames:
 
     @property
     def people(self) -> set[Identity]:
-        """Who may be in the frames; nobody is known of folds that are not."""
+        """Who may be in the frames, of a user's folder who is; nobody is known of folds that are not."""
         if self._folded("subject"):
             return set()
+        if not self._config:
+            return self._shown("subject")
         return {who for piece in self.pieces for who in piece.people if not self.part.subject or who[0] in self.part.subject}
 
     @property
@@ -94,6 +96,8 @@ class SelectedFrames:
         """Which cars may be in the frames; likewise."""
         if self._folded("car"):
             return set()
+        if not self._config:
+            return self._shown("car")
         return {car for piece in self._asked for car in piece.cars if not self.part.car or car[0] in self.part.car}
 
     @property
@@ -103,6 +107,15 @@ class SelectedFrames:
         return sum(
             p.most(self.part.subject) if p.config or not selection else _count(p.folder, p.key, selection) for p in self._asked
         )
+
+    @property
+    def _config(self) -> bool:
+        """Whether stand-ins are among the pieces."""
+        return any(piece.config for piece in self.pieces)
+
+    def _shown(self, kind: str) -> set[Identity]:
+        selection = tuple(self.part.selection.items())
+        return set().union(*(_shown_in(piece.folder, piece.key, selection)[kind] for piece in self.pieces))
 
     def _folded(self, coordinate: str) -> bool:
         return any(key.startswith(f"{coordinate}/") for key in self.part.unknown_folds)
@@ -124,6 +137,14 @@ class SelectedFrames:
 def _count(folder: Path, key: str, selection: tuple[tuple[str, tuple[Any, ...]], ...]) -> int:  # noqa: ARG001 - of another content
     """How many frames of a folder belong to a selection."""
     return int(_selected(open_dataset(folder), dict(selection)).sum())
+
+
+@cache
+def _shown_in(folder: Path, key: str, selection: tuple[tuple[str, tuple[Any, ...]], ...]) -> dict[str, set[Identity]]:  # noqa: ARG001 - likewise
+    """Who ("subject") and what ("car") is in the frames of a folder that belong to a selection."""
+    dataset = open_dataset(folder)
+    some = dataset.isel(frame=np.flatnonzero(_selected(dataset, dict(selection))))
+    return {"subject": individuals(some), "car": _cars(some)}
 
 
 def digest(facts: Any) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.app.experiment.cells import TrainCell
-from cabinpose.app.experiment.frames import DatasetPiece, opened
+from cabinpose.app.experiment.frames import DatasetPiece, SelectedFrames, draw, opened
 from cabinpose.app.experiment.plan import FRAME_S, RECORDED_S, ExperimentPlan
 from cabinpose.store import MANIFEST_NAME, open_dataset
 from cabinpose.synth import CabinScene, SynthConfig, generate
@@ -97,8 +97,11 @@ def _sample_s(cell: TrainCell, some: _Samples, folder: Path) -> float | None:
     there = not piece.config or (piece.folder / MANIFEST_NAME).exists()
     place = piece.folder if there else some.of(piece)[1]
     shown = DatasetPiece(piece.name, place, piece.key, piece.frames, piece.people, piece.cars)
-    at = np.arange(min(open_dataset(place).sizes["frame"], max(_FRAMES, config.batch)))
-    part = opened(source.part, [(shown, at)], cell.settings)
+    if piece.config:
+        at = np.arange(open_dataset(place).sizes["frame"])
+    else:
+        ((_, at),) = draw(SelectedFrames(source.part, (piece,)), [], cell.name)
+    part = opened(source.part, [(shown, at[: max(_FRAMES, config.batch)])], cell.settings)
     spent = []
     for steps in _STEPS:
         few = config.model_copy(update={"epochs": 1, "epoch_steps": steps})

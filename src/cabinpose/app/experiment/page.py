@@ -35,7 +35,8 @@ PLAN = "experiment.json"
 _INTERVALS = (
     "Each cell: the mean over the repeats, and below it what 95 of 100 resamples give, then each repeat. Drawn with replacement "
     "are repeats and, the same for all of them, whole sequences and single frames. Over few repeats, or few sequences, that is "
-    "narrower than an interval of confidence. Mean errors are of the joints that were found, whose share stands below them. "
+    "narrower than an interval of confidence. Mean errors are of the joints that were found, from the root of those "
+    "with which it was found: the share of these stands below them. "
     "Published figures are of the source's own frames: they stand beside ours to be seen, and are no target."
 )
 _DIFFERENCES = (
@@ -99,10 +100,9 @@ def _asked_text(asked: Mapping[str, object]) -> str:
 
 
 def begin(folder: Path, asked: Mapping[str, object]) -> None:
-    """Write what is asked for where there is no page yet, so that `report` makes that of a run which never ended."""
-    if not (folder / PLAN).exists():
-        make_folder(folder)
-        write_whole(folder / PLAN, _asked_text(asked))
+    """Write what is asked for, so that `report` makes the page of a run which never ended."""
+    make_folder(folder)
+    write_whole(folder / PLAN, _asked_text(asked))
 
 
 def refuse_other(folder: Path, asked: Mapping[str, object]) -> None:
@@ -158,14 +158,16 @@ def _protocol(plan: ExperimentPlan, results: Results, asked: Mapping[str, object
     """How the numbers came about, beside the rows' frames."""
     scale, cells = plan.scale, [cells[0] for cells in plan.trained.values()]
     recipe = merged(plan.experiment.recipe, scale.recipe)
-    steps = f"{scale.steps} batches" if scale.steps else "whole passes"
+    first = [stage.recipe for stage in (cells[0].begins, cells[0]) if stage is not None]
+    epochs = sum(recipe["epochs"] for recipe in first)
+    steps = f"{epochs * first[0]['epoch_steps']} batches" if scale.steps else "whole passes"
     tested = [f"test {test}: {what}" for test, what in results.judged.items()]
     least = (
         f", of those to validate and to test on no fewer than {scale.least}" if scale.frames != 1.0 and scale.least > 1 else ""
     )
     return [
         f"scale {asked['scale']}: frames of the file times {scale.frames:g}{least}",
-        f"each training: {steps} in {cells[0].recipe['epochs']} epochs, {scale.repeats} repeats with seeds from 1",
+        f"each training: {steps} in {epochs} epochs, {scale.repeats} repeats with seeds from 1",
         *tested,
         f"recipe, but for what rows change: {json.dumps(recipe)}",
         f"{asked['resamples']} resamples; cabinpose {__version__}, code {asked['code']}",

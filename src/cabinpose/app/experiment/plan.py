@@ -24,7 +24,7 @@ from cabinpose.app.experiment.frames import (
 )
 from cabinpose.app.training_split import said_of
 from cabinpose.core import CABINPOSE, ConfigError, unknown_name
-from cabinpose.estimate import METHODS, TrainConfig
+from cabinpose.estimate import METHODS, ArrayMethod, TrainConfig
 from cabinpose.evaluate import ALL, ModelErrors
 from cabinpose.store import validated
 
@@ -149,7 +149,7 @@ def make_plan(experiment: Experiment, scale_name: str, out: Path, given: Mapping
     plan = _Planner(experiment, scale, data, out)
     rows = {name: plan.training(name, row) for name, row in experiment.trainings.items()}
     trained = {name: tuple(cells) for name, (_, cells) in rows.items()}
-    _check_columns(experiment, [cells[0] for cells in trained.values()])
+    _check_columns(experiment, {name: cells[0] for name, cells in trained.items()})
     first = [cell for before, _ in rows.values() for cell in before]
     tested = {
         (row, name): tuple(plan.test(name, cell) for cell in cells)
@@ -189,8 +189,12 @@ class _Planner:
             if tune is None:
                 cells.append(self._train(told, config, row.train, row.validation))
                 continue
-            last = max(round(config.epochs * tune.share), 1)
-            early = config.model_copy(update={"epochs": max(config.epochs - last, 1)})
+            if config.epochs < 2 or isinstance(METHODS[config.method], ArrayMethod):
+                why = "has one epoch" if config.epochs < 2 else f"is of {config.method}, fitted in one go"
+                hint = "leave `fine_tune` out, or ask for more epochs"
+                raise ConfigError(f"training {name} {why}, and cannot be tuned", hint=hint)
+            last = min(max(round(config.epochs * tune.share), 1), config.epochs - 1)
+            early = config.model_copy(update={"epochs": config.epochs - last})
             before.append(self._train(f"{told}, first", early, row.train, row.validation))
             late = config.model_copy(update={"epochs": last})
             cells.append(self._train(told, late, tune.train, tune.validation, before[-1]))
@@ -303,12 +307,14 @@ def _refuse_shared(kind: str, shared: set[Any], one: str, other: str, meant: str
     raise ConfigError(f"{one} and {other} share the {kind} {', '.join(names[:_NAMES])}{more}", hint=hint)
 
 
-def _check_columns(experiment: Experiment, cells: Iterable[TrainCell]) -> None:
+def _check_columns(experiment: Experiment, cells: Mapping[str, TrainCell]) -> None:
     """Raise ConfigError for a column that a model's answers say nothing of, which would be found when all is trained."""
-    for cell in cells:
+    for row, cell in cells.items():
         method = METHODS[cell.recipe["method"]]
         parts = method.task == "parts"
         for column in experiment.columns:
+            if row not in (experiment.tests[column.test].trainings or cells):
+                continue
             if (column.measure in ("iou", "person_iou")) != parts:
                 what = "parts of bodies" if parts else "joints"
                 raise ConfigError(

@@ -20,7 +20,6 @@ from cabinpose.evaluate import ALL, ModelErrors, OverRepeats, RowDifference, acc
 
 _GRID = np.linspace(0.0, 1.0, 51)  # head sizes
 _RESUMED = "the last of several runs"
-_ANYWHERE = 1e30  # px or m: what was not found is infinitely far
 Lines = dict[str, tuple[list[float], list[float]]]
 """By name the xs and ys of lines."""
 JudgedRuns = Sequence[tuple[ModelErrors, tuple[str, ...]]]
@@ -32,7 +31,7 @@ class Results:
     """What is known of an experiment.
 
     numbers: by training and title of the column, over the repeats that are there, None without any · found: of mean errors, per
-    cent of the joints that were found, over which they are · accuracy: by test, per cent of all joints
+    cent of the joints over which they are · accuracy: by test, per cent of all joints
     within each part of the head size, by training · by_joint: the same by test and training, by group of joints · curves: by
     title, over numbers of frames, of those that have a point · differences: by title of the column and two trainings whose cells
     are there, the first less the second · judged: by test, what is judged on it.
@@ -56,11 +55,11 @@ def results_of(plan: ExperimentPlan, resamples: int) -> Results:
         for column in experiment.columns
     }
     found = {
-        (row, column.title): share.value
+        (row, column.title): _found_share(runs, column, plan.trained[row][0].settings.joint_set.root)
         for row in experiment.trainings
         for column in experiment.columns
         if column.measure in MEAN_ERRORS
-        if (share := _number(known.runs(plan.tested.get((row, column.test), ())), _found(column), 0)) is not None
+        if (runs := known.runs(plan.tested.get((row, column.test), ())))
     }
     accuracy, by_joint, judged_on = {}, {}, dict[str, str]()
     for test in experiment.tests:
@@ -147,9 +146,16 @@ def _counted(runs: JudgedRuns, column: TableColumn) -> list[int]:
     return list(range(len(names))) if column.joints == ALL else [names.index(j) for j in joints_of(column.joints, names)]
 
 
-def _found(column: TableColumn) -> TableColumn:
-    """What measures how many of a column's joints are found at all."""
-    return column.model_copy(update={"measure": "pck", "threshold": _ANYWHERE})
+def _found_share(runs: JudgedRuns, column: TableColumn, root: str | None) -> float:
+    """Per cent of a column's joints over which its mean error is: of those from the root, that of joints but the root."""
+    from_root = column.measure == "root_relative_error"
+    joints = [joint for joint in _counted(runs, column) if not (from_root and runs[0][1][joint] == root)]
+    shares = []
+    for errors, _ in runs:
+        judged = (errors.error_px if column.space == "2d" else errors.error_m)[:, joints]
+        measured = errors.relative_m[:, joints] if from_root else judged
+        shares.append(100.0 * np.isfinite(measured).sum() / max(int((~np.isnan(judged)).sum()), 1))
+    return float(np.mean(shares))
 
 
 def frames_of(cell: TrainCell, data: str) -> int:

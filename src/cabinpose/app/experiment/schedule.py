@@ -33,7 +33,7 @@ def make_cells(cells: Sequence[ExperimentCell], workers: int | str, told: Told) 
     Raises
     ------
     ConfigError
-        Where no scheduler answers.
+        Where no scheduler answers, or workers have several threads.
     SceneError
         Where a worker ends before its cell is made.
     """
@@ -95,6 +95,10 @@ def _executor(workers: int | str) -> Iterator[Executor]:
     except (OSError, TimeoutError, ValueError) as error:
         raise ConfigError(f"no Dask scheduler answers at {workers}", hint="start one with `dask scheduler`") from error
     with client:
+        if several := [worker for worker, threads in client.nthreads().items() if threads > 1]:
+            raise ConfigError(  # trainings in one process share the random numbers of torch, and the time that is counted
+                f"the worker {several[0]} makes several cells at a time", hint="start workers with `dask worker --nthreads 1`"
+            )
         try:
             yield client.get_executor(pure=False)
         except KilledWorker as error:
