@@ -50,8 +50,12 @@ experiment: $(VENV)/.dev  ## install, and make frames, models and page of an exp
 test: $(VENV)/.dev  ## the tests but for the slow ones; CABINPOSE_REAL_DATA names the folder of real recordings
 	$(PYTEST) --dist loadfile -m "not slow"
 
+# A file's tests go to one process: those that take minutes come first. A third of the files has slow ones; all are 18 CPU-s to collect.
+LONGEST = $(addprefix tests/,faults/test_outputs.py synth/test_processors.py synth/test_motion.py docs/test_site.py)
+SLOW = $(LONGEST) $(filter-out $(LONGEST),$(sort $(shell grep -rl 'mark\.slow' tests --include='test_*.py')))
+
 test-slow: $(VENV)/.dev  ## the slow tests alone
-	$(PYTEST) --dist loadfile --no-loadscope-reorder -m slow
+	$(PYTEST) --dist loadfile --no-loadscope-reorder -m slow $(SLOW)
 
 test-faults: $(VENV)/.dev  ## kills, full disks and hostile files alone, which are part of the slow tests
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m faults

@@ -45,7 +45,7 @@ _PANES = 3  # depth, amplitude, labels
 _WARM = 3
 _FAR_PX = 6.0  # from the truth: a joint that a person would drag
 _SEED = 11
-_COUNTED = 150  # frames of which the joints to drag are counted
+_COUNTED = 150  # frames of which the joints to drag are counted, of a small bench fewer
 KEY_S, POINT_S, BUTTON_S, THOUGHT_S = 0.28, 1.1, 0.1, 1.35  # keystroke-level model: Card, Moran and Newell 1980
 _WATCH = """
 window.began = 0; window.put = [];
@@ -224,8 +224,9 @@ def _labelling(frames: int, say: Say) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         dataset = Path(folder) / "dataset"
         journal = dataset.with_name("dataset.labels.jsonl")
-        say(f"generating {max(frames, _COUNTED)} frames")
-        generate(SynthConfig(), max(frames, _COUNTED), dataset, seed=_SEED)
+        counted = max(frames, min(_COUNTED, 13 * frames))
+        say(f"generating {counted} frames")
+        generate(SynthConfig(), counted, dataset, seed=_SEED)
         truth = open_dataset(dataset)
         wrong = [far_joints(truth, model, row) for row in range(truth.sizes["frame"])]
         size = truth.sizes["x"], truth.sizes["y"]

@@ -103,8 +103,8 @@ COMMANDS: Mapping[str, Command] = {
     "record": Command("record --config {inputs}/rig.yaml --out {out}/r.mcap", "r.mcap", None, grows=True),
     "recover": Command("recover {inputs}/cut.mcap --out {out}/r.mcap", "r.mcap", None),
     "lab": Command(
-        "lab --views 6 --frames-per-view 1 --pendulum-s 5.1 --seconds 1.1 --no-exercises --out {out}/s", "s", None, whole=False,
-        varies=("",),
+        "lab --views 6 --frames-per-view 1 --pendulum-s 5.1 --seconds 1.1 --no-exercises --rate-hz 4 --out {out}/s",
+        "s", None, whole=False, varies=("",),
     ),
     "calibrate": Command("calibrate {inputs}/session/session.yaml --out {out}/c.yaml", "c.yaml", varies=("",)),
     "calibrate-noise": Command(
@@ -113,12 +113,13 @@ COMMANDS: Mapping[str, Command] = {
     ),
     "align": Command("align {inputs}/session/drive-S01.mcap --calibration {inputs}/c.yaml --out {out}/d", "d"),
 }  # fmt: skip
-WARM = ("synth", "car-check", "calibrate")  # seconds each, and no threads that a fork would lack
+WARM = ("synth", "car-check", "car-init", "calibrate")  # seconds each, and no threads that a fork would lack
 ONCE = {  # what they do before they write, by its module
     "cabinpose.app.car_check": "check_car",
     "cabinpose.app.view.car": "draw_car",
     "cabinpose.synth": "FrameMaker",  # of the frame in the car's picture
     "cabinpose.align": "calibrate",
+    "cabinpose.scene.cabin": "draft_car_file",
 }
 SHARED = (  # commands that write to places of one kind
     ("synth", "import-coco", "import-itop", "export-coco", "align"),
@@ -127,7 +128,7 @@ SHARED = (  # commands that write to places of one kind
     ("predict",),
     ("export-onnx",),
 )
-_LAB = "lab --views 12 --frames-per-view 1 --pendulum-s 8 --seconds 3 --out {inputs}/session"
+_LAB = "lab --views 12 --frames-per-view 1 --pendulum-s 8 --seconds 3 --no-exercises --rate-hz 4 --out {inputs}/session"
 _INPUTS = (
     "train {inputs}/dataset --splits {inputs}/splits.yaml --out {inputs}/run --config {inputs}/run.yaml --devices 1",
     "export onnx {inputs}/run/best.ckpt --out {inputs}/m.onnx",
@@ -454,14 +455,19 @@ def once(module: str, name: str) -> None:
     setattr(home, name, keeping)
 
 
-def warm_up(names: Sequence[str], inputs: Path) -> None:
-    """Run commands in this process, whose caches its children have then: what comes before the writing takes seconds of each."""
+def warm_up(names: Sequence[str], inputs: Path, out: Path) -> None:
+    """Run commands in this process, whose caches its children have then: what comes before the writing takes seconds of each.
+
+    out: the folder in which they are tried, which what they keep may be of.
+    """
     from cabinpose.app.cli import main
 
     for command in (COMMANDS[name] for name in WARM if name in names):
-        with TemporaryDirectory() as folder, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
-            if main(shlex.split(command.words.format(inputs=inputs, out=folder))):
+        out.mkdir()
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
+            if main(shlex.split(command.words.format(inputs=inputs, out=out))):
                 raise SystemExit(f"{command.words}: {said.getvalue()}")
+        shutil.rmtree(out)
 
 
 def tell(*cells: str) -> None:
@@ -490,12 +496,13 @@ def main(words: Sequence[str]) -> int:
         inputs = given.inputs or Path(temporary) / "inputs"
         if not inputs.exists():
             make_inputs(inputs, session=bool({"calibrate", "align"} & set(names)))
-        warm_up(names, inputs)
+        warm_up(names, inputs, Path(work) / "out")
         tell("command", "calls", *given.faults, "s")
+        trials: dict[str, Trial] = {}
         for name in names:
             began = time.monotonic()
             try:
-                trial = Trial(COMMANDS[name], inputs, Path(work))
+                trial = trials[name] = Trial(COMMANDS[name], inputs, Path(work))
             except RuntimeError as error:
                 failed = True
                 sys.stderr.write(f"{error}\n")
@@ -504,9 +511,8 @@ def main(words: Sequence[str]) -> int:
             cells = (f"{runs}: " + (", ".join(f"{p} {n}" for p, n in bad.items()) or "held") for runs, bad in found.values())
             tell(name, str(trial.calls), *cells, f"{time.monotonic() - began:.0f}")
             failed |= any(bad for _, bad in found.values())
-        for first, second in ((a, b) for group in SHARED for a in group for b in group if {a, b} <= set(names)):
-            trial = Trial(COMMANDS[first], inputs, Path(work))
-            bad = list(beside(trial, COMMANDS[second]))
+        for first, second in ((a, b) for group in SHARED for a in group for b in group if {a, b} <= trials.keys()):
+            bad = list(beside(trials[first], COMMANDS[second]))
             tell(f"{second} into what {first} writes", ", ".join(bad) or "held")
             failed |= bool(bad)
     return int(failed)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import faulthandler
 import json
-import multiprocessing
 import os
 import re
 import resource
@@ -22,12 +21,13 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from multiprocessing import forkserver
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cabinpose.core.errors import CabinposeError
-from cabinpose.store.convert import apart
 
 NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 62, (1 << 64) - 1)
 _WORDS = (
@@ -106,7 +106,10 @@ def survive(
 
 def _child(read: Read, files: Iterator[bytes], folder: Path, suffix: str, told: Path) -> int:
     faulthandler.disable()  # the exit code tells
-    apart.multiprocessing = multiprocessing  # the server that the suite's readers are forked off is no child of this process
+    server: Any = forkserver._forkserver
+    modules = server._preload_modules
+    server.__init__()  # that of the suite is no child of this process, which starts its own
+    server.set_forkserver_preload(modules)
     sys.stdout = sys.stderr = (folder / "said.txt").open("w")
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # a hang ends the process
     path = folder / f"damaged{suffix}"
