@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -45,22 +46,44 @@ for index in range(5):
 """
 
 
-def made(out: Path, scene: str, frames: int, workers: int, **processor: str) -> dict[str, str]:
-    command = ["-m", "cabinpose", "synth", "--seed", "3", "--frames", str(frames), "--workers", str(workers), "--out", str(out)]
-    environment = os.environ | processor
-    subprocess.run([sys.executable, *command, *SCENES[scene]], env=environment, check=True, stdout=subprocess.DEVNULL)
-    files = sorted(path for path in out.rglob("*") if path.is_file())
-    return {str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+# Every scene's dataset, in the folder and with the workers and frames that are asked for.
+DATASETS = """
+import json, sys
+from cabinpose.app.cli import main
+out, frames, workers, scenes = sys.argv[1:]
+for name, words in json.loads(scenes).items():
+    flags = ["--seed", "3", "--frames", frames, "--workers", workers, "--out", f"{out}/{name}"]
+    if code := main(["synth", *flags, *words]):
+        sys.exit(code)
+"""
+
+
+def made(out: Path, workers: int, **processor: str) -> dict[str, dict[str, str]]:
+    """By scene the checksum of every file of its dataset."""
+    frames = os.environ.get("CABINPOSE_PROCESSOR_FRAMES", "4")
+    command = [sys.executable, "-c", DATASETS, str(out), frames, str(workers), json.dumps(SCENES)]
+    subprocess.run(command, env=os.environ | processor, check=True, stdout=subprocess.DEVNULL)
+    hashes: dict[str, dict[str, str]] = {}
+    for scene in SCENES:
+        files = sorted(path for path in (out / scene).rglob("*") if path.is_file())
+        hashes[scene] = {str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    return hashes
+
+
+@pytest.fixture(scope="module")
+def everywhere(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, dict[str, str]]]:
+    """Of this processor, then of each of the others."""
+    folder = tmp_path_factory.mktemp("processors")
+    others = [made(folder / str(number), (1, 4)[number % 2], **processor) for number, processor in enumerate(PROCESSORS)]
+    return [made(folder / "here", 2), *others]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
-def test_a_dataset_is_the_same_bytes_on_every_processor(scene: str, tmp_path: Path) -> None:
-    frames = int(os.environ.get("CABINPOSE_PROCESSOR_FRAMES", "4"))
-    here = made(tmp_path / "here", scene, frames, 2)
+def test_a_dataset_is_the_same_bytes_on_every_processor(scene: str, everywhere: list[dict[str, dict[str, str]]]) -> None:
+    here, *others = (hashes[scene] for hashes in everywhere)
     assert len(here) > 20
-    for number, processor in enumerate(PROCESSORS):
-        there = made(tmp_path / str(number), scene, frames, (1, 4)[number % 2], **processor)
+    for processor, there in zip(PROCESSORS, others, strict=True):
         assert there == here, processor
 
 
