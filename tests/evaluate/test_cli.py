@@ -260,3 +260,28 @@ def test_no_dataset(run: Callable[..., Outcome], files: list[Path], tmp_path: Pa
     code, _, err = run(files[0], data=tmp_path)
     assert code == 2
     assert "holds no dataset" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        (["--persons", "drivr"], "unknown slot 'drivr'"),
+        (["--seed", "-1"], "-1 is no seed"),
+        (["--itop-npz", "x.npz"], "ITOP frames are scored for one model"),
+    ],
+)
+def test_words_that_mean_nothing_are_told(run: Callable[..., Outcome], files: list[Path], words: list[str], error: str) -> None:
+    done = run(files[0], *words)
+    assert (done.code, error in done.err) == (2, True), done.err
+
+
+def test_files_of_one_name_have_rows_of_their_own(run: Callable[..., Outcome], predictions: Predictions, tmp_path: Path) -> None:
+    """By the words by which they were given, each with numbers and curves of its own."""
+    (tmp_path / "second").mkdir()
+    worse = replace(predictions, joints_2d=predictions.joints_2d + 30)
+    paths = [write_predictions(tmp_path / "a.jsonl", predictions), write_predictions(tmp_path / "second" / "a.jsonl", worse)]
+    done = run(*paths, "--json", "--out", tmp_path / "out")
+    models = json.loads(done.out)["models"]
+    assert [model["model"] for model in models] == [f"noisy ({path})" for path in paths]
+    rows = list(csv.DictReader((tmp_path / "out" / "distances.csv").open()))
+    assert {row["model"] for row in rows} == {f"noisy ({path})" for path in paths}

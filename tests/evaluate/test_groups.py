@@ -163,3 +163,26 @@ def test_the_command_prints_and_keeps_them(
     assert "By groups of people" in page
     assert main([*command, "--training-data", str(dataset_folder)]) == 2
     assert "--by" in capsys.readouterr().err
+
+
+def test_a_group_in_which_nothing_is_found_has_numbers(many: xr.Dataset) -> None:
+    model = answers(many, np.zeros((many.sizes["frame"], many.sizes["person"])))
+    seat = model.persons.index("driver")
+    for of in (model.joints_2d, model.joints_3d):
+        of[:, seat] = np.nan
+    found = {group.name: [v.value for v in group.values if v.metric == "found"] for group in grouped(many, model, "seat").groups}
+    assert found["driver"] == [0.0, 0.0]
+    assert found["front_passenger"] == [100.0, 100.0]
+
+
+def test_edges_are_as_exact_as_the_labels(many: xr.Dataset) -> None:
+    """Who is 1.8 m tall, which float32 holds a little less of, is in "1.8 m and more"."""
+    tall = many.assign_coords(stature=(("frame", "person"), np.full(many["subject"].shape, 1.8, np.float32), {"units": "m"}))
+    model = answers(tall, np.zeros(many["subject"].shape))
+    assert [group.name for group in grouped(tall, model, "stature=1.6,1.8").groups] == ["1.8 m and more"]
+
+
+def test_people_without_a_name_are_no_subject(many: xr.Dataset) -> None:
+    unnamed = many.assign_coords(subject=many["subject"].where(many["subject"] == "", "unknown"))
+    model = answers(unnamed, np.zeros(many["subject"].shape))
+    assert {group.subjects for group in grouped(unnamed, model, "seat").groups} == {0}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from cabinpose.core import told_as
+from cabinpose.core import POSE_ARRAYS, told_as
 from cabinpose.core.errors import ConfigError, DatasetError, PredictionsError
 from cabinpose.core.ports import IMAGES, FrameBatch, PoseBatch, Predictor
 from cabinpose.core.pose import Visibility
@@ -273,3 +274,58 @@ def test_what_does_not_fit(dataset: xr.Dataset, predictions: Predictions) -> Non
         common_joints(dataset, [replace(predictions, joints=("head",)), replace(predictions, joints=("neck",))])
     with pytest.raises(PredictionsError, match="no frames"):
         evaluate(dataset.isel(frame=slice(0, 0)), predictions, OPTIONS)
+
+
+def perfect(dataset: xr.Dataset) -> Predictions:
+    two, three = dataset["joints_2d"].values, dataset["joints_3d"].values
+    score = np.isfinite(two).all(axis=-1).astype(np.float32)
+    persons, joints = (tuple(map(str, dataset[name].values)) for name in ("person", "joint"))
+    return Predictions(two, three, score, score, dataset["frame"].values, persons, joints, "perfect")
+
+
+def test_frames_without_a_head_are_neither_missed_nor_the_worst(dataset: xr.Dataset) -> None:
+    """Of heads of people's own size: the curve ends where the table does, at all of the joints that it is over."""
+    truth, model = dataset.copy(), perfect(dataset)
+    unknown = (truth["joint"] == "head") & (truth["frame"] < 2)
+    truth["visibility"] = truth["visibility"].where(~unknown, 0)
+    for name in ("joints_2d", "joints_3d"):
+        truth[name] = truth[name].where(~unknown)
+    report = evaluate(truth, model, EvaluationOptions(head="true", resamples=0))
+    value = report.value("PCKh", "2d")
+    assert value is not None
+    assert value.value == 100.0
+    assert report.curves["2d"]["pckh"]["lines"]["All"][-1] == 100.0
+    assert report.worst == ()
+
+
+def test_people_of_other_names_are_matched_or_told(dataset: xr.Dataset) -> None:
+    """A method that knows no slots, with names of its own and all places asked for, as the command does."""
+    model = perfect(dataset)
+    places, model = model.persons, replace(model, persons=tuple(f"p{n}" for n in range(len(model.persons))))
+    for match in ("oks", "distance"):
+        report = evaluate(dataset, model, EvaluationOptions(match=match, resamples=0), persons=places)
+        value = report.value("PCKh", "2d")
+        assert value is not None
+        assert value.value == 100.0
+    with pytest.raises(PredictionsError, match="the dataset has no slot p0") as caught:
+        evaluate(dataset, model, EvaluationOptions(resamples=0), persons=places)
+    assert "--match oks" in caught.value.hint
+
+
+def test_a_seat_where_a_model_does_not_look_has_nothing_found(dataset: xr.Dataset) -> None:
+    at = (model := perfect(dataset)).persons.index("driver")
+    arrays = {name: getattr(model, name)[:, [at]] for name in POSE_ARRAYS}
+    driver = replace(model, persons=("driver",), **arrays)
+    report = evaluate(dataset, driver, EvaluationOptions(resamples=0), persons=["front_passenger"])
+    value = report.value("PCKh", "2d")
+    assert value is not None
+    assert value.value == 0.0
+
+
+@pytest.mark.parametrize(("match", "lacks", "other"), [("oks", "joints_2d", "distance"), ("distance", "joints_3d", "oks")])
+def test_people_are_not_matched_by_what_nobody_answered(dataset: xr.Dataset, match: Any, lacks: str, other: str) -> None:
+    model = perfect(dataset)
+    flat = replace(model, **{lacks: np.full_like(getattr(model, lacks), np.nan)})
+    with pytest.raises(ConfigError, match="to match people by") as caught:
+        evaluate(dataset, flat, EvaluationOptions(match=match, resamples=0))
+    assert other in caught.value.hint

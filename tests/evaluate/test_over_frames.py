@@ -7,10 +7,12 @@ import io
 import re
 
 import numpy as np
+import xarray as xr
 from PIL import Image
 
 from cabinpose.app.report.over_frames import over_frames_html
-from cabinpose.evaluate import FrameDistances
+from cabinpose.evaluate import EvaluationOptions, FrameDistances, frame_distances, samples_of
+from cabinpose.store.predictions import Predictions
 
 
 def distances(by_joint: list[list[float]], mean: list[float]) -> FrameDistances:
@@ -55,3 +57,13 @@ def test_lines_break_where_a_joint_was_not_found() -> None:
     assert head.count("M") == 3  # three in a row, and one alone, which gets a dot
     assert head.endswith("l0.01,0")
     assert over_frames_html({}) == ""
+
+
+def test_joints_whose_place_in_space_is_not_known_are_not_missed(dataset: xr.Dataset, predictions: Predictions) -> None:
+    """As of labels in an image that depth did not lift."""
+    truth = dataset.copy()
+    truth["joints_3d"] = truth["joints_3d"].where(truth["joint"] != "neck")
+    samples, _ = samples_of(truth, predictions, EvaluationOptions(resamples=0))
+    neck = frame_distances(samples, "3d", EvaluationOptions()).joints.index("neck")
+    assert np.isnan(frame_distances(samples, "3d", EvaluationOptions()).by_joint[:, neck]).all()
+    assert np.isfinite(frame_distances(samples, "2d", EvaluationOptions()).by_joint[:, neck]).any()

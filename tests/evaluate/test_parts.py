@@ -121,6 +121,11 @@ def _other_size(folder: Path) -> None:
     images.segment({"depth": np.ones((1, 20, 30), np.float32), "frame": np.array([3])})  # type: ignore[typeddict-item]
 
 
+def _beyond_the_parts(folder: Path) -> None:
+    images = ClassImages(np.full((1, 2, 3), 255, np.uint8), np.array([3]), PARTS, "m", None)
+    images.segment({"depth": np.ones((1, 2, 3), np.float32), "frame": np.array([3])})  # type: ignore[typeddict-item]
+
+
 def _of_another_kind(folder: Path) -> None:
     zarr.open_group(folder / "x.zarr", mode="w").attrs["format"] = "else"
     read_class_images(folder / "x.zarr")
@@ -157,6 +162,7 @@ def _without_labels(folder: Path) -> None:
     ("what", "error", "words"),
     [
         (_other_size, PredictionsError, "4x4 pixels, frames of 30x20"),
+        (_beyond_the_parts, PredictionsError, "a pixel of class 255"),
         (_of_another_kind, PredictionsError, "no label images of version 1"),
         (_torn, PredictionsError, "do not fit"),
         (_giant, PredictionsError, "do not fit"),

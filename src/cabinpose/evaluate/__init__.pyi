@@ -26,6 +26,7 @@ from .offline import common_joints as common_joints
 from .offline import common_skeleton as common_skeleton
 from .offline import evaluate as evaluate
 from .offline import frame_batch as frame_batch
+from .offline import in_places as in_places
 from .offline import model_name as model_name
 from .offline import predict_dataset as predict_dataset
 from .offline import samples_of as samples_of

@@ -23,6 +23,7 @@ from cabinpose.evaluate.metrics import METRICS, Value, within_head
 from cabinpose.evaluate.options import EvaluationOptions
 from cabinpose.evaluate.sample_view import ALL, SampleView, Sets, by_frames, resampled_frames
 from cabinpose.evaluate.samples import Samples, Space
+from cabinpose.store import UNKNOWN as UNKNOWN_NAME
 
 SEAT = "seat"
 UNKNOWN = "not known"
@@ -170,13 +171,13 @@ def _grouping(
         chosen = _rows(samples, rows_there[of_group])
         views = [_AllJoints(chosen, options, weights, space) for space in samples.spaces()]
         measured = tuple(value for metric in _MEASURED for view in views for value in METRICS[metric].values(view))
-        counts = len(chosen.at), len(np.unique(chosen.at)), len(set(subject[of_group].tolist()) - {""})
+        counts = len(chosen.at), len(np.unique(chosen.at)), len(set(subject[of_group].tolist()) - {"", UNKNOWN_NAME})
         groups.append(Group(name, *counts, shares[name], measured))
     return Grouping(by.name, tuple(groups), _worst(_rows(samples, rows_there), members, options, weights))
 
 
 def people_labels(dataset: xr.Dataset, by: GroupBy) -> tuple[NDArray[np.generic], str]:
-    """(F, P) a label of everybody in every frame, as text or float64, and its unit; ConfigError where there is none."""
+    """(F, P) a label of everybody in every frame, as text or floats, and its unit; ConfigError where there is none."""
     shape = dataset.sizes["frame"], dataset.sizes["person"]
     if by.label == SEAT:
         return np.broadcast_to(dataset["person"].values.astype(str), shape), ""
@@ -204,7 +205,7 @@ def people_labels(dataset: xr.Dataset, by: GroupBy) -> tuple[NDArray[np.generic]
     text = values.dtype.kind in "OUSb"
     if text and by.edges:
         raise ConfigError(f"'{by.label}' is no number: it has no edges", hint=f"write {by.name}")
-    return values.astype(str if text else np.float64), str(array.attrs.get("units", ""))
+    return values.astype(str if text else np.result_type(values, np.float32)), str(array.attrs.get("units", ""))
 
 
 def _is_place(array: xr.DataArray) -> bool:
@@ -227,8 +228,8 @@ def _names(values: NDArray[np.generic], by: GroupBy, unit: str) -> NDArray[np.st
     """(N,) the name of the group that each value belongs to."""
     if values.dtype.kind != "f":
         return np.where(values == "", UNKNOWN, values.astype(str))
-    names = np.array([*_ranges(by, unit), UNKNOWN])
-    return names[np.where(np.isfinite(values), np.searchsorted(by.edges, values, side="right"), len(names) - 1)]
+    names, edges = np.array([*_ranges(by, unit), UNKNOWN]), np.array(by.edges, values.dtype)  # as exact as the numbers
+    return names[np.where(np.isfinite(values), np.searchsorted(edges, values, side="right"), len(names) - 1)]
 
 
 def _ranges(by: GroupBy, unit: str) -> list[str]:

@@ -79,6 +79,8 @@ def placed(batch: PoseBatch, places: Places) -> PoseBatch:
     empty = places < 0
 
     def pick(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        if not values.shape[1]:
+            values = np.zeros((len(values), 1, *values.shape[2:]), values.dtype)
         chosen = values[rows, places]
         chosen[empty] = np.nan if values.ndim == 4 else 0.0  # a position, or a number of a joint
         return chosen

@@ -16,6 +16,7 @@ from cabinpose.core import (
     JOINT_DEFINITIONS,
     SKELETONS,
     UNKNOWN_SET,
+    ConfigError,
     DatasetError,
     FrameBatch,
     PoseBatch,
@@ -175,6 +176,14 @@ def shared_places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]
     return tuple(place for place in places if all(place in model.persons for model in models)) or tuple(places)
 
 
+def in_places(dataset: xr.Dataset, persons: Sequence[str]) -> xr.Dataset:
+    """The dataset with some of its slots. Raises ConfigError for one that it has not."""
+    for place in persons:
+        if place not in dataset["person"].values:
+            raise unknown_name("slot", place, [str(p) for p in dataset["person"].values])
+    return dataset.sel(person=list(persons))
+
+
 def evaluate(
     dataset: xr.Dataset, model: Predictions | Predictor, options: EvaluationOptions, *, joints: Sequence[str] | None = None,
     persons: Sequence[str] | None = None, name: str = "", progress: Progress | None = None,
@@ -219,10 +228,9 @@ def samples_of(
     lacking = [joint for joint in model.joints if labelled and joint not in labelled]
     predicted = model.persons
     if persons is not None:
-        for place in persons:
-            if place not in dataset["person"].values:
-                raise unknown_name("slot", place, [str(p) for p in dataset["person"].values])
-        dataset, predicted = dataset.sel(person=list(persons)), tuple(p for p in model.persons if p in persons)
+        if set(predicted) & set(dataset["person"].values.tolist()):  # else these are no slots, and matched otherwise
+            predicted = tuple(p for p in predicted if p in persons)
+        dataset = in_places(dataset, persons)
     true = [str(p) for p in dataset["person"].values]
     kept: list[_Kept] = []
     told: list[PoseBatch] = []
@@ -230,6 +238,10 @@ def samples_of(
         _chunks(dataset, model, skeleton, predicted, progress or (lambda _: None)), kept, told, dataset.sizes["frame"]
     )
     samples = collect(chunks, skeleton, true, predicted, options)
+    by, lacks, has = ("oks", samples.px, samples.m) if options.match == "oks" else ("distance", samples.m, samples.px)
+    if options.match != "slot" and has.found.any() and not lacks.found.any():
+        other, space = ("distance", "the image") if by == "oks" else ("oks", "space")
+        raise ConfigError(f"{model_name(model)} has no joint in {space} to match people by", hint=f"use --match {other}")
     caveats = _caveats(dataset, model, samples, kept, predicted, options)
     words = joined(told)
     unjudged = [f"nobody in the dataset has {', '.join(lacking)}: not judged"] if lacking else []

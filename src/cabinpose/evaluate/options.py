@@ -49,6 +49,8 @@ class EvaluationOptions:
             raise ConfigError("a threshold is a positive number", hint="give thresholds above 0")
         if self.resamples < 0:
             raise ConfigError(f"{self.resamples} resamples cannot be drawn", hint="give 0 or more")
+        if self.seed < 0:
+            raise ConfigError(f"{self.seed} is no seed", hint="give 0 or more")
 
 
 THESIS_HEAD_PX = 26.0

@@ -80,7 +80,7 @@ def frame_distances(samples: Samples, space: str, options: EvaluationOptions) ->
     sums, hits, counted = (np.zeros((count, error.shape[1])) for _ in range(3))
     np.add.at(sums, samples.at, np.where(found, error, 0.0))
     np.add.at(hits, samples.at, found)
-    np.add.at(counted, samples.at, samples.counts)
+    np.add.at(counted, samples.at, samples.counts & (samples.px if space == "2d" else samples.m).known)
     return FrameDistances(
         space, tuple(samples.skeleton.joints), samples.frames, _average(sums, hits, counted),
         _average(sums.sum(axis=1), hits.sum(axis=1), counted.sum(axis=1)),

@@ -143,14 +143,18 @@ def _measured(name: str, metric: Metric, views: Sequence[SampleView]) -> list[Va
 def _curves(view: SampleView) -> dict[str, Any]:
     """The share of the true joints, in per cent, that lie within each distance, by kind of distance and set of joints."""
     errors = view.found_errors * view.per_unit
-    shares = errors / (view.errors.head[:, None] * view.per_unit)
+    shares = errors / (view.head * view.per_unit)
+    sized = view.counts & np.isfinite(view.head)
     result: dict[str, Any] = {}
-    for kind, values, grid in (("pckh", shares, _PCKH_GRID), ("error", errors, _ERROR_GRID[view.space])):
+    for kind, values, counts, grid in (
+        ("pckh", shares, sized, _PCKH_GRID),
+        ("error", errors, view.counts, _ERROR_GRID[view.space]),
+    ):
         lines = {}
         for joints, members in view.groups.items():
             columns = list(members)
             known = np.sort(values[:, columns][np.isfinite(values[:, columns])])
-            total = max(int(view.counts[:, columns].sum()), 1)
+            total = max(int(counts[:, columns].sum()), 1)
             lines[joints] = (100 * np.searchsorted(known, grid, side="right") / total).round(3).tolist()
         result[kind] = {"grid": grid.round(4).tolist(), "lines": lines}
     return result
@@ -178,9 +182,10 @@ def _calibration(image: SampleView, spaces: Mapping[str, SampleView]) -> dict[st
 def _ranked(samples: Samples) -> tuple[int, ...]:
     """Frames that are not perfect, worst first, by the mean error of their joints in head sizes; a missed joint counts 3."""
     space = next(iter(samples.spaces().values()))
-    shares = np.where(samples.counts & space.found, space.error, np.inf) / space.head[:, None]
-    counted = np.where(samples.counts, np.fmin(np.nan_to_num(shares, nan=np.inf), _MISS), 0.0)
-    top, bottom = (by_frames(x.astype(np.float64), samples).sum(axis=1) for x in (counted, samples.counts))
+    judged = samples.counts & space.known & np.isfinite(space.head)[:, None]
+    shares = np.where(judged & space.found, space.error, np.inf) / space.head[:, None]
+    counted = np.where(judged, np.fmin(np.nan_to_num(shares, nan=np.inf), _MISS), 0.0)
+    top, bottom = (by_frames(x.astype(np.float64), samples).sum(axis=1) for x in (counted, judged))
     mean = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
     order = np.argsort(-mean, kind="stable")
     return tuple(int(samples.frames[i]) for i in order if mean[i] > 0)

@@ -55,6 +55,10 @@ class ClassImages:
                     image[...] = self.labels[place]
                 except Exception as error:  # of codecs
                     raise PredictionsError(f"{self.name}: frame {number} cannot be read: {error}", hint=_AGAIN) from error
+        if result.max(initial=0) > len(self.parts):
+            raise PredictionsError(
+                f"{self.name}: a pixel of class {result.max()}, of {len(self.parts)} parts", hint="write 0 where there is no part"
+            )
         return result
 
 

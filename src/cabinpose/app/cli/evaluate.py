@@ -21,6 +21,8 @@ from cabinpose.core import ConfigError, DatasetError, write_together
 from cabinpose.evaluate import EvaluationOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     import xarray as xr
 
     from cabinpose.core import Predictor, Segmenter
@@ -32,6 +34,9 @@ _USUAL = (
     "presence recall",
 )  # fmt: skip
 
+_OF_DATASETS = (
+    "dataset", "predictions", "by", "persons", "places", "joints", "select", "splits", "split", "where", "labels", "out",
+)  # fmt: skip
 _OF_GROUPS = (("PCKh", "2d"), ("AUC of PCKh", "2d"), ("PCKh", "3d"), ("median error", "3d"))
 
 
@@ -109,8 +114,8 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
         common_joints,
         frame_distances,
         groupings,
+        in_places,
         make_report,
-        model_name,
         read_group_by,
         samples_of,
     )
@@ -129,24 +134,25 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
     _check_labelled(dataset, folder)
     dataset = as_named(dataset, new_names(command.places, "places"), joint_names(command.joints))
     opened_now = opened_models(command.model, dataset, command.joints_from, names, command.images)
-    chosen = [*_with_own_names(files, paths), *images, *opened_now]
+    chosen = [*files, *images, *opened_now]
+    called = _names(chosen, [*map(str, paths), *(str(path) for path in command.predictions if path not in paths), *command.model])
     tell_drive_side(chosen, command.drive_side)
     segmenters = [model for model in chosen if isinstance(model, Segmenter)]
     models = [model for model in chosen if not isinstance(model, Segmenter)]
     if segmenters and models:
         raise ConfigError("joints and body parts are evaluated apart", hint="run evaluate once for each")
-    if segmenters and command.by:
-        raise ConfigError("body parts are not counted by people", hint="leave --by out")
+    if segmenters and (command.by or command.persons):
+        raise ConfigError("body parts are not counted by people", hint="leave --by and --persons out")
     if segmenters:
-        _run_parts(command, dataset, segmenters, names[1])
+        _run_parts(command, dataset, dict(zip(called, segmenters, strict=True)), names[1])
         return
     by, learnt = [read_group_by(word) for word in command.by], [open_dataset(path) for path in command.training_data]
     joints = common_joints(dataset, models)
     persons = command.persons or _places(dataset, models)
-    in_view = dataset.sel(person=list(persons))
+    in_view = in_places(dataset, persons)
     frames = dataset.sizes["frame"]
     reports, over_frames = [], {}
-    for model in models:
+    for name, model in zip(called, models, strict=True):
         with progress(frames, "frames") as shown:
 
             def show(done: int, shown: ProgressReport = shown) -> None:
@@ -154,7 +160,7 @@ def _run_dataset(command: Evaluate, folder: Path, options: EvaluationOptions) ->
 
             samples, caveats = samples_of(dataset, model, options, joints=joints, persons=persons, progress=show)
             groups = groupings(samples, in_view, by, options, learnt)
-            reports.append(make_report(samples, options, model_name(model), names[1], caveats, groups))
+            reports.append(make_report(samples, options, name, names[1], caveats, groups))
         over_frames[reports[-1].model] = {space: frame_distances(samples, space, options) for space in samples.spaces()}
         tell_failed(model)
     record = {"data": str(command.dataset), "frames": frames, "joints": list(joints), "models": [r.to_dict() for r in reports]}
@@ -188,25 +194,25 @@ def _check_labelled(dataset: xr.Dataset, folder: Path) -> None:
         )
 
 
-def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Sequence[Segmenter], name: str) -> None:
-    """Segmentations against the dataset's pixel classes."""
+def _run_parts(command: Evaluate, dataset: xr.Dataset, models: Mapping[str, Segmenter], name: str) -> None:
+    """Segmentations, by what they are called, against the dataset's pixel classes."""
     from cabinpose.app.report.parts import parts_page, pictures, write_sheet
     from cabinpose.evaluate import evaluate_parts, trained_words
 
     reports = []
-    for model in models:
+    for called, model in models.items():
         with progress(dataset.sizes["frame"], "frames") as shown:
             told = command.evaluation
-            reports.append(evaluate_parts(dataset, model, name=name, resamples=told.resamples, seed=told.seed, progress=shown))
+            report = evaluate_parts(dataset, model, name=name, resamples=told.resamples, seed=told.seed, progress=shown)
+            reports.append(replace(report, model=called))
     record = {"data": str(command.dataset), "frames": dataset.sizes["frame"], "models": [r.to_dict() for r in reports]}
     if command.out is not None:
         typical, worst = (
-            {r.model: pictures(dataset, m, getattr(r, kind)) for r, m in zip(reports, models, strict=True)}
-            for kind in ("typical", "worst")
+            {r.model: pictures(dataset, models[r.model], getattr(r, kind)) for r in reports} for kind in ("typical", "worst")
         )
         write_report(command.out, parts_page(reports, typical, worst), record)
         if all_pictures := [each for r in reports for each in (*typical[r.model], *worst[r.model])]:
-            write_sheet(command.out / "parts.png", models[0].parts, all_pictures)
+            write_sheet(command.out / "parts.png", next(iter(models.values())).parts, all_pictures)
     if command.as_json:
         print_json(record)
         return
@@ -231,8 +237,9 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
     from cabinpose.evaluate import evaluate_itop, itop_summary
     from cabinpose.store import as_labelled, read_itop_frames, read_itop_reference
 
-    if len(command.model) != 1 or command.predictions or command.by or command.dataset is not None:
-        raise ConfigError("ITOP frames are scored for one model", hint="give --itop-npz FILE --model NAME alone")
+    if len(command.model) != 1 or any(getattr(command, name) for name in _OF_DATASETS):
+        hint = "give --itop-npz FILE --model NAME alone; `cabinpose import itop` makes a dataset of ITOP's files"
+        raise ConfigError("ITOP frames are scored for one model, without a page", hint=hint)
     model = open_predictor(command.model[0])
     if model.joints != ITOP.joints or len(model.persons) != 1:
         raise ConfigError(f"{model.name} does not find ITOP's joints of one person", hint="take the model `room` or `room_top`")
@@ -248,15 +255,18 @@ def _run_itop(command: Evaluate, frames: Path, options: EvaluationOptions) -> No
         print(f"where the model puts the joints of the body, not ITOP's labels: {within:.1f} % within 10 cm")
 
 
-def _with_own_names(models: Sequence[Predictions], paths: Sequence[Path]) -> list[Predictions]:
-    """The predictions; those that share a model name get their file's name added. `ConfigError` for a file given twice."""
-    for path in paths:
-        if list(paths).count(path) > 1:
-            raise ConfigError(f"{path} is given twice", hint="name each predictions file once")
-    names = [m.model for m in models]
-    return [
-        replace(m, model=f"{m.model} ({path})") if names.count(m.model) > 1 else m for m, path in zip(models, paths, strict=True)
-    ]
+def _names(chosen: Sequence[Predictions | Predictor | ClassImages | Segmenter], words: Sequence[str]) -> list[str]:
+    """What reports call them: by their names, with the words by which those were given that share one.
+
+    Raises ConfigError for a word given twice.
+    """
+    from cabinpose.evaluate import model_name
+
+    for word in words:
+        if words.count(word) > 1:
+            raise ConfigError(f"{word} is given twice", hint="name each file and each model once")
+    names = [model_name(each) for each in chosen]
+    return [f"{name} ({word})" if names.count(name) > 1 else name for name, word in zip(names, words, strict=True)]
 
 
 def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:

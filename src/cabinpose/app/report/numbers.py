@@ -37,7 +37,8 @@ def group_columns(reports: Sequence[Report]) -> list[Column]:
             column(mean, space, f"mean {name} {unit}"),
             column("median_error", space, f"median {name} {unit}"),
         ]
-    both.append(column("found", "2d", "found %"))
+    answered = "2d" if any(r.value(METRICS["found"].name, "2d") for r in reports) else "3d"
+    both.append(column("found", answered, "found %"))
     return [c for c in both if any(r.value(c.metric, c.space) for r in reports)]
 
 

@@ -27,7 +27,9 @@ from cabinpose.synth.viewpoint import Viewpoint
 # By which a gaze is ahead of the head: both start within tens of milliseconds of each other in natural tasks (Herst, Epelboim,
 # Steinman 2001, Vision Research 41), but a saccade is over long before the head has turned.
 EYES_LEAD_S = 0.15
-_SCENES = 100  # drawn for a sequence until the run ends; who reaches past a camera on the dashboard is right before it in nine of ten
+_SCENES = (
+    100  # drawn for a sequence until the run ends; who reaches past a camera on the dashboard is right before it in nine of ten
+)
 _SAME_M = 1e-3  # what moves less while samples are exposed stands still: each is half of it off, a tenth of a pixel at 1 m
 
 
