@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cabinpose.app.lab import filmed
+from cabinpose.app.lab import filmed, takes
 from cabinpose.app.lab.filmed import _LEAD_S, FilmedMotion, FilmedSession, FilmedSubject, _Films, record_films, recorded_share
 from cabinpose.app.lab.rig import VirtualRig
 from cabinpose.core import CABINPOSE
@@ -78,6 +80,21 @@ def test_a_camera_that_moves_between_takes_is_refused(
     with refused if jitter_m else pytest.raises(pytest.fail.Exception, match="no take was refused"):
         record_films(rig, tmp_path / "recordings", tmp_path / "dataset")
     assert len(takes) == written
+
+
+@pytest.mark.parametrize(("seen", "refused"), [(0, True), (4, False)])
+def test_a_cap_under_the_roof_is_told_before_the_takes(
+    seen: int, refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of twenty looks at five markers `seen` have three."""
+    found = np.zeros((20, 5), bool)
+    found[:seen, :3] = True
+    monkeypatch.setattr(takes, "calibrate_head", lambda *_, **__: SimpleNamespace(duration_s=1.0))
+    monkeypatch.setattr(takes, "_write", lambda *_, **__: [SimpleNamespace(object_seen=found)])
+    actor: Any = SimpleNamespace(code="P1", stage=SimpleNamespace(car="hatchback"))
+    told = pytest.raises(SceneError, match="does not see the cap of P1: the roof of hatchback") if refused else nullcontext()
+    with told:
+        takes.write_head_take(tmp_path / "head.mcap", VirtualRig(), actor, rng=np.random.default_rng(1))
 
 
 @pytest.mark.slow

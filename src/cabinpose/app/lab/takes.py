@@ -16,6 +16,7 @@ from cabinpose.app.lab.motion import KeyedMotion, PersonMotion, Stage, act, cali
 from cabinpose.app.lab.optical import (
     HEAD_SEGMENT,
     HEAD_SUBJECT,
+    LEAST_MARKERS,
     MODEL_SEGMENTS,
     Cap,
     Watch,
@@ -43,6 +44,7 @@ Times = NDArray[np.int64]
 CODE = "S01"
 POSE_S = 4.0  # length of the take of the N-pose
 _AGAIN = "`cabinpose lab` writes it beside each take; record the session again"
+_SEEN = 0.1  # of the turns of a head that the optical system has to see
 _TRIES = 10  # motions of a passenger that are drawn before giving up
 
 
@@ -167,9 +169,19 @@ def truth_path(take: Path, code: str = "") -> Path:
 
 
 def write_head_take(path: Path, rig: VirtualRig, actor: Actor, *, rng: np.random.Generator) -> Truth:
-    """The head turned about each axis, twice, on a still trunk in the car: suit and cap. Windows: flexion, lateral, rotation."""
+    """The head turned about each axis, twice, on a still trunk in the car: suit and cap. Windows: flexion, lateral, rotation.
+
+    Raises SceneError where the optical system hardly sees the cap.
+    """
     motion = calibrate_head(actor.stage, rng=rng)
-    return _write(path, rig, Performance([(actor, motion)], "head calibration", motion.duration_s), rng=rng)[0]
+    truth = _write(path, rig, Performance([(actor, motion)], "head calibration", motion.duration_s), rng=rng)[0]
+    seen = truth.object_seen.sum(axis=1) >= LEAST_MARKERS
+    if seen.size and seen.mean() < _SEEN:
+        raise SceneError(
+            f"the optical system does not see the cap of {actor.code}: the roof of {actor.stage.car} is in between",
+            hint="take a car with a higher roof, or somebody smaller; optical_occlusion: false sees through it",
+        )
+    return truth
 
 
 def write_action_take(
