@@ -14,6 +14,8 @@ from cabinpose.estimate import Frames, FrameSpec, GeneratedFrames, StoredFrames,
 from cabinpose.store import dataset_skeleton, labelled_joints
 from cabinpose.synth import FrameMaker, SynthConfig, build_manifest, person_slots, preflight
 
+_NAMES = 5  # of people in a message
+
 
 def stored_frames(sides: Sides, spec: FrameSpec) -> tuple[Frames, Frames]:
     """The frames of `training_split`'s two sides, one dataset after the other.
@@ -44,7 +46,8 @@ def _joined(side: Mapping[str, xr.Dataset], spec: FrameSpec, taught: Collection[
 def generated_frames(config: SynthConfig, spec: FrameSpec, frames: int, seed: int) -> tuple[GeneratedFrames, GeneratedFrames]:
     """Frames made while training: `frames` new ones an epoch, and a tenth of that, always the same, to validate on.
 
-    The frames that validate come from the next seed, and with it from other random people; named subjects are in both.
+    The frames that validate come from the next seed, and with it from other random people; named subjects are in both, with a
+    warning.
     """
     preflight(config, frames=frames)
     persons = person_slots(config)
@@ -53,9 +56,19 @@ def generated_frames(config: SynthConfig, spec: FrameSpec, frames: int, seed: in
         raise ConfigError(f"the scenes have no place {', '.join(lacking)}", hint=f"set slots to some of: {', '.join(persons)}")
     if spec.rgb and (config.images is None or "rgb" not in config.images.variables):
         raise ConfigError("the scenes have no rgb", hint="add images: {variables: [rgb]} to the file of --synth")
+    if spec.depth_image == "depth_styled" and config.style is None:
+        raise ConfigError("the scenes have no depth_styled", hint="add style: {by: MODEL} to the file of --synth")
+    if named := (*config.people.subjects, *config.people.own):
+        more = f" and {len(named) - _NAMES} more" if len(named) > _NAMES else ""
+        warnings.warn(
+            f"{', '.join(named[:_NAMES])}{more} are learnt from and validate, so that figures are better than on people nobody"
+            " has seen; people: {subjects: [], random: {count: 300}} in the file of --synth draws others",
+            stacklevel=2,
+        )
+    pictures = spec.rgb or spec.depth_image == "depth_styled"
     same = build_manifest(config, frames, seed).parts_belong_to  # of a dataset of these scenes
-    training = GeneratedFrames(_Maker(config, seed, pictures=spec.rgb), frames, spec, persons, same)
-    return training, GeneratedFrames(_Maker(config, seed + 1, pictures=spec.rgb), max(frames // 10, 1), spec, persons)
+    training = GeneratedFrames(_Maker(config, seed, pictures=pictures), frames, spec, persons, same)
+    return training, GeneratedFrames(_Maker(config, seed + 1, pictures=pictures), max(frames // 10, 1), spec, persons)
 
 
 class _Maker:

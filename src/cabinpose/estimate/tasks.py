@@ -119,6 +119,10 @@ class Task(ABC):
     def errors(self, decoded: Any, batch: Batch, settings: Any) -> NDArray[Any]:
         """What validation collects of a batch: errors (K,) in heads, infinite = no answer, unless a task says otherwise."""
 
+    @abstractmethod
+    def judges(self, batch: Batch, settings: Any) -> bool:
+        """Whether a batch shows anything that the validation figures are of."""
+
     def figures(self, errors: Sequence[NDArray[Any]]) -> Figures:
         """Validation figures from what was collected: PCKh@0.5 and the area under PCKh from 0 to 0.5, percent.
 
@@ -139,6 +143,9 @@ class Joints(Task):
         error = np.linalg.norm(decoded.uv - truth[..., :2], axis=-1) / head_px
         known = batch.present.cpu().numpy()[..., None] & (batch.visibility.cpu().numpy() > 1) & np.isfinite(head_px)
         return np.asarray(np.where(np.isnan(error), np.inf, error)[known])
+
+    def judges(self, batch: Batch, settings: Any) -> bool:  # noqa: ARG002 - parts need the settings
+        return bool((batch.present.unsqueeze(-1) & (batch.visibility > 1) & torch.isfinite(batch.joints[..., 2])).any())
 
 
 class Lift(Task):
@@ -166,6 +173,10 @@ class Lift(Task):
         error = np.linalg.norm(decoded - people.joints.cpu().numpy(), axis=-1) / HEAD_M
         return np.asarray(error[people.known.cpu().numpy() & np.isfinite(error)])
 
+    def judges(self, batch: Batch, settings: Any) -> bool:
+        people = people_of(batch, settings.view)
+        return bool((people.known.any(dim=-1) & people.pose[..., 2].any(dim=-1)).any())
+
 
 class Parts(Task):
     """Images to pixel classes. Judged by the mean IoU of the parts; collected are confusion matrices."""
@@ -181,6 +192,9 @@ class Parts(Task):
             raise ValueError("the segmentation is judged by pixel classes")
         truth = class_table(settings.parts)[batch.labels.cpu().numpy()]
         return confusion(truth, decoded, len(settings.parts) + 1)
+
+    def judges(self, batch: Batch, settings: Any) -> bool:
+        return batch.labels is not None and bool(class_table(settings.parts)[batch.labels.cpu().numpy()].any())
 
     def figures(self, errors: Sequence[NDArray[Any]]) -> Figures:
         """Percent: mean IoU of the parts that are there or predicted, and the IoU of people as a whole."""

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ANATOMY, ConfigError, ModelError, check_archive, make_folder, output_errors, write_whole
+from cabinpose.core import ANATOMY, ConfigError, DatasetError, ModelError, check_archive, make_folder, output_errors, write_whole
 from cabinpose.estimate.array_model import write_arrays
 from cabinpose.estimate.augment import Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
@@ -222,6 +222,8 @@ def fit(
     ------
     ConfigError
         Where `out` holds another run and `resume` is not asked for, or where there is too little memory for a batch.
+    DatasetError
+        Where no validation frame shows what the deciding figure is of.
     DependencyError
         Where a logger is not installed.
     ModelError
@@ -254,6 +256,7 @@ def fit(
     resumed = last if start.resume and last.exists() else None
     if resumed is not None:
         check_same(resumed, config)
+    _check_judged(config, validation)
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     make_folder(out)
     frames = _Frames(config, training, validation)
@@ -294,6 +297,19 @@ class _WholeCheckpoints(TorchCheckpointIO):
         buffer = BytesIO()
         torch.save(checkpoint, buffer)
         write_whole(Path(path), buffer.getvalue(), kind=ModelError)
+
+
+def _check_judged(config: TrainConfig, validation: Frames | Sequence[Kept]) -> None:
+    """Raise DatasetError where no validation frame shows what the figure that decides is of; most often the first one does."""
+    method = METHODS[config.method]
+    task, settings = TASKS[method.task], method.settings(config.settings)
+    stored = not isinstance(validation, GeneratedFrames)
+    held = (validation[i] for i in range(len(cast(Sized, validation)))) if stored else iter(validation)
+    if config.best_by == "figure" and not any(task.judges(collate([frame]), settings) for frame in held):
+        raise DatasetError(
+            f"no validation frame shows what {task.best} is of: the people of {', '.join(settings.slots)}",
+            hint="choose others to validate on (--splits, --val), other slots, or best_by: loss",
+        )
 
 
 def _fit_arrays(config: TrainConfig, training: Frames, validation: Frames, out: Path, progress: Progress | None) -> Path:

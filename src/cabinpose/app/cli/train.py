@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import DatasetPath, Maybe, PrintsJson, several
+from cabinpose.app.cli.arguments import DatasetPath, Maybe, PrintsJson, refuse, several
 from cabinpose.app.cli.output import print_json, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError, Registry, check_output
@@ -44,8 +44,8 @@ class Train(PrintsJson):
     """Configuration of the run (YAML); every key has a default."""
     synth: Maybe[Path] = None
     """Scene configuration (YAML) from which frames are generated during training, in place of datasets."""
-    frames: int = 2000
-    """Frames per epoch with --synth."""
+    frames: Maybe[int] = None
+    """Frames per epoch with --synth; default: 2000."""
     splits: Maybe[Path] = None
     """YAML file of splits; without it, some subjects of each dataset are held out for validation."""
     val: Maybe[float] = None
@@ -69,6 +69,7 @@ class Train(PrintsJson):
 
 
 COMMAND = Train
+_FRAMES = 2000  # an epoch, with --synth
 _RANKS = ("RANK", "LOCAL_RANK", "SLURM_PROCID")  # the launchers' name for a process; the first one alone speaks
 
 
@@ -77,6 +78,10 @@ def run(command: Train) -> None:
     require("train")
     if command.datasets and command.synth is not None:
         raise ConfigError("a detector learns from datasets or from generated scenes", hint="give DATASET or --synth, not both")
+    if command.synth is not None:
+        refuse({"--splits": command.splits, "--val": command.val}, "{} is of datasets, and --synth generates frames")
+    elif command.datasets:
+        refuse({"--frames": command.frames}, "{} is of --synth")
     if command.val is not None and (command.splits is not None or not 0 < command.val < 1):
         why = "--splits says who validates" if command.splits is not None else f"--val {command.val:g} is no share"
         raise ConfigError(why, hint="leave out --val, or give a number between 0 and 1 and no --splits")
@@ -167,4 +172,5 @@ def _frames(command: Train, sides: Sides | None, spec: FrameSpec, seed: int) -> 
 
     if sides is not None:
         return stored_frames(sides, spec)
-    return generated_frames(SynthConfig.load(command.synth), spec, command.frames, seed)
+    frames = _FRAMES if command.frames is None else command.frames
+    return generated_frames(SynthConfig.load(command.synth), spec, frames, seed)

@@ -58,6 +58,12 @@ def fit(
     depth = np.stack([frame.depth for frame in kept])
     joints = settings.view.from_view(np.stack([f.joints for f in kept]))
     joints[~(np.stack([f.present for f in kept])[..., None] & (np.stack([f.visibility for f in kept]) > 0))] = np.nan
+    lacking = [settings.joints[j] for j in np.flatnonzero(~np.isfinite(joints).any((0, 1, 3)))]
+    if 0 < len(lacking) < len(settings.joints):
+        raise DatasetError(
+            f"nobody's {', '.join(lacking)} is known, and walks go by every joint",
+            hint="add frames that show it, set skeleton, or choose another method",
+        )
     root = settings.order[0][0]
     for s, slot in enumerate(settings.slots):
         if not np.isfinite(joints[:, s, root]).any():
