@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import small
+import torch
+from lightning.pytorch.callbacks import Callback
 
 from cabinpose.app import training
 from cabinpose.app.cli import main
-from cabinpose.core.errors import ConfigError, DatasetError
+from cabinpose.core.errors import ConfigError, DatasetError, ModelError
 from cabinpose.core.skeleton import CABINPOSE
-from cabinpose.estimate.data import Kept, StoredFrames
-from cabinpose.estimate.train_config import Machines, TrainConfig
-from cabinpose.estimate.training import fit, frame_spec
+from cabinpose.estimate.data import GeneratedFrames, Kept, StoredFrames
+from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
+from cabinpose.estimate.training import Detector, begin_with, fit, frame_spec
 from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.fit import fit as fit_walks
 from cabinpose.synth import SynthConfig
@@ -25,7 +28,7 @@ ONE = Machines(1)
 CROWD = {"people": {"subjects": [], "random": {"count": 20}}}
 
 
-def config(method: str, **changes: object) -> TrainConfig:
+def config(method: str, **changes: Any) -> TrainConfig:
     return TrainConfig(**({"method": method, "settings": small.TINY[method], "epochs": 1, "batch": 4, "average": 0.0} | changes))
 
 
@@ -100,3 +103,68 @@ def test_named_people_in_both_sides_of_generated_frames_are_told() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         training.generated_frames(SynthConfig.parse(CROWD), spec, 4, 1)
+
+
+class Stop(Callback):
+    """Ends a run after an epoch."""
+
+    def __init__(self, epoch: int) -> None:
+        self._epoch = epoch
+
+    def on_train_epoch_end(self, trainer: Any, module: Any) -> None:
+        trainer.should_stop = trainer.should_stop or trainer.current_epoch == self._epoch
+
+
+class Rates(Callback):
+    """The rate after each step."""
+
+    def __init__(self) -> None:
+        self.seen: list[float] = []
+
+    def on_train_batch_end(self, trainer: Any, *_: Any) -> None:
+        self.seen.append(trainer.optimizers[0].param_groups[0]["lr"])
+
+
+def test_a_run_in_a_folder_that_was_moved_keeps_its_best_epoch(tmp_path: Path) -> None:
+    c = config("lifting", epochs=3)
+    some = frames(c)
+    fit(c, some, some, tmp_path / "run", machines=ONE, observers=Observers(callbacks=(Stop(epoch=1),)))
+    last = torch.load(tmp_path / "run" / "last.ckpt", weights_only=True)
+    state = next(s for s in last["callbacks"].values() if s.get("monitor") == "val_auc")
+    assert (last["epoch"], Path(state["best_model_path"]).name) == (1, "best.ckpt")
+    state["best_model_score"] = state["kth_value"] = torch.tensor(1e6)  # no epoch is as good
+    state["best_k_models"] = dict.fromkeys(state["best_k_models"], state["kth_value"])
+    torch.save(last, tmp_path / "run" / "last.ckpt")
+    moved = (tmp_path / "run").rename(tmp_path / "moved")
+    before = (moved / "best.ckpt").read_bytes()
+    assert fit(c, some, some, moved, start=Start(resume=True), machines=ONE) == moved / "best.ckpt"
+    assert torch.load(moved / "last.ckpt", weights_only=True)["epoch"] == 2
+    assert (moved / "best.ckpt").read_bytes() == before
+    assert not list(tmp_path.glob("run*"))
+
+
+def test_one_cycle_of_frames_that_processes_make_ends_with_the_run(tmp_path: Path) -> None:
+    """Six frames, four to a batch: three processes make a short batch each, of which Lightning takes two."""
+    c = config("compact", workers=3, epochs=2)
+    made = [GeneratedFrames(small.frame, count, frame_spec(c), small.PERSONS) for count in (6, 2)]
+    rates = Rates()
+    fit(c, *made, tmp_path, machines=ONE, observers=Observers(callbacks=(rates,)))
+    assert len(rates.seen) == 2 * 2
+    assert rates.seen[-2] == pytest.approx(c.learning_rate / 25 / 1e4, rel=1e-6)  # of the last step: where one cycle ends
+
+
+@pytest.mark.parametrize("method", ["compact", "yolo"])
+def test_channels_that_attention_cannot_share_are_refused(method: str) -> None:
+    with pytest.raises(ConfigError, match="multiple of 4"):
+        config(method, settings={"channels": (8, 16, 32, 30)})
+
+
+def test_a_run_begins_with_no_network_of_another_image(tmp_path: Path) -> None:
+    c = config("paf")
+    torch.save(
+        {"hyper_parameters": {"config": c.model_dump(mode="json")}, "state_dict": Detector(c).state_dict()},
+        tmp_path / "best.ckpt",
+    )
+    begin_with(Detector(c), tmp_path / "best.ckpt", [])
+    with pytest.raises(ModelError, match="of another network: input"):
+        begin_with(Detector(config("paf", settings={**small.TINY["paf"], "input": "amplitude"})), tmp_path / "best.ckpt", [])

@@ -77,7 +77,6 @@ class Detector(lightning.LightningModule):
         self.joint_definition = ANATOMY  # of joints of ours; frames of older datasets are told so before they are learnt
         self.trained_on: dict[str, str] = {}  # see `data.trained_on`; of what the run began with, once it is saved of the run too
         self.learns_from: Frames | Sequence[Kept] = ()
-        self.spare_batches = 0  # steps of the schedule beyond those that Lightning expects
         self.save_hyperparameters({"config": config.model_dump(mode="json")})
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
@@ -135,7 +134,7 @@ class Detector(lightning.LightningModule):
         optimiser = (torch.optim.Adam if self.settings.optimiser == "adam" else torch.optim.AdamW)(groups, lr=rate)
         if self.settings.schedule == "constant":
             return optimiser
-        steps = int(self.trainer.estimated_stepping_batches) + self.spare_batches
+        steps = int(self.trainer.estimated_stepping_batches)
         schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=0.15)
         return {"optimizer": optimiser, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
@@ -262,8 +261,8 @@ def fit(
     frames = _Frames(config, training, validation)
     figure = TASKS[METHODS[config.method].task].best
     monitor, mode = ("val_loss", "min") if config.best_by == "loss" else (figure, "max")
-    best = ModelCheckpoint(out, "best", monitor=monitor, mode=mode, enable_version_counter=False)
-    newest = ModelCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
+    best = _MovedCheckpoint(out, "best", monitor=monitor, mode=mode, enable_version_counter=False)
+    newest = _MovedCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [WeightAveraging(multi_avg_fn=_moving_average(config.average))] if config.average else []
     curves = Curves(out, monitor, mode, config.patience, observers.draw)
     reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
@@ -278,8 +277,6 @@ def fit(
         )  # fmt: skip
         detector = Detector(config)
         detector.learns_from = training
-        if isinstance(training, GeneratedFrames):  # each process that makes frames may end an epoch with a short batch
-            detector.spare_batches = config.epochs * config.workers
         if start.init is not None and not last.exists():
             begin_with(detector, start.init, training)
         if detector.method.channels_last:
@@ -287,6 +284,26 @@ def fit(
         with output_errors(out), alone(out, trainer), interruptible():
             trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"
+
+
+class _MovedCheckpoint(ModelCheckpoint):
+    """Checkpoints in a folder that may have been moved, of which Lightning's forget the best score there."""
+
+    __qualname__ = ModelCheckpoint.__qualname__  # by which last.ckpt knows its state, that of runs of before too
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on from the best epoch of a checkpoint, by its name in this folder if it came along."""
+
+        def here(path: str) -> str:
+            return str(Path(self.dirpath or "", Path(path).name)) if path else path
+
+        if Path(here(state_dict["best_model_path"])).is_file():
+            names = ("best_model_path", "kth_best_model_path", "last_model_path")
+            state_dict = {
+                **state_dict, **{name: here(state_dict[name]) for name in names}, "dirpath": self.dirpath,
+                "best_k_models": {here(path): score for path, score in state_dict["best_k_models"].items()},
+            }  # fmt: skip
+        super().load_state_dict(state_dict)
 
 
 class _WholeCheckpoints(TorchCheckpointIO):
@@ -428,6 +445,8 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
     try:
         if type(mine) is not type(theirs):
             raise ValueError("it is of another method")
+        if getattr(mine, "input", None) != getattr(theirs, "input", None):  # some have as many channels
+            raise ValueError("it sees another image")
         stands = not method.of_places or len(mine.slots) == 1 == len(theirs.slots)
         named = theirs.model_copy(update={"slots": mine.slots}) if stands else theirs
         layouts = method.layout(mine), method.layout(named)

@@ -10,6 +10,7 @@ from cabinpose.core import SKELETONS, Skeleton, SkeletonName
 from cabinpose.estimate.settings import ViewSettings
 
 _Positive = Annotated[float, Field(gt=0)]
+_Heads = Annotated[int, Field(gt=0, multiple_of=4)]  # channels that the heads of the attention share
 
 
 class BackboneConfig(ViewSettings):
@@ -20,7 +21,9 @@ class BackboneConfig(ViewSettings):
     input: Annotated[Literal["depth", "amplitude", "rgb"], Field(description="What the network sees.")] = "depth"
     amplitude: Annotated[bool, Field(description="Use the amplitude image beside the depth.")] = True
     skeleton: Annotated[SkeletonName, Field(description="Joints to predict.")] = "cabinpose"
-    channels: Annotated[tuple[int, int, int, int], Field(description="Channels at strides 2, 4, 8 and 16.")] = (16, 32, 80, 128)
+    channels: Annotated[
+        tuple[int, int, int, _Heads], Field(description="Channels at strides 2, 4, 8 and 16, the last a multiple of 4.")
+    ] = (16, 32, 80, 128)
     blocks: Annotated[tuple[int, int, int], Field(description="Blocks at strides 4, 8 and 16.")] = (1, 3, 4)
 
     @property
