@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,19 @@ import small
 import torch
 from lightning.pytorch.callbacks import Callback
 
-from cabinpose.app import training
+from cabinpose.app import training as app_training
 from cabinpose.app.cli import main
+from cabinpose.app.cli import train as cli_train
 from cabinpose.core.errors import ConfigError, DatasetError, ModelError
 from cabinpose.core.skeleton import CABINPOSE
-from cabinpose.estimate.data import GeneratedFrames, Kept, StoredFrames
+from cabinpose.estimate import training
+from cabinpose.estimate.data import GeneratedFrames, Kept, StoredFrames, collate
+from cabinpose.estimate.paf.fit import presence_of
 from cabinpose.estimate.train_config import Machines, Observers, Start, TrainConfig
 from cabinpose.estimate.training import Detector, begin_with, fit, frame_spec
 from cabinpose.estimate.walks.config import WalksConfig
 from cabinpose.estimate.walks.fit import fit as fit_walks
+from cabinpose.store import as_named
 from cabinpose.synth import SynthConfig
 from cabinpose.synth.style.settings import Style
 
@@ -70,12 +75,12 @@ def test_scenes_without_styled_depth_are_refused_and_those_with_it_make_it(monke
     scenes = SynthConfig.parse(CROWD)
     spec = frame_spec(TrainConfig(method="compact", depth="depth_styled"))
     with pytest.raises(ConfigError, match="the scenes have no depth_styled") as caught:
-        training.generated_frames(scenes, spec, 4, 1)
+        app_training.generated_frames(scenes, spec, 4, 1)
     assert "style" in caught.value.hint
-    monkeypatch.setattr(training, "preflight", lambda *_, **__: None)  # reads the style's model
+    monkeypatch.setattr(app_training, "preflight", lambda *_, **__: None)  # reads the style's model
     styled = scenes.model_copy(update={"style": Style(by="style.onnx")})
     for image, made in (("depth_styled", True), ("depth", False)):
-        for side in training.generated_frames(styled, spec._replace(depth_image=image), 4, 1):
+        for side in app_training.generated_frames(styled, spec._replace(depth_image=image), 4, 1):
             assert vars(side._make)["_pictures"] is made
 
 
@@ -99,10 +104,10 @@ def test_flags_that_would_do_nothing_are_refused(
 def test_named_people_in_both_sides_of_generated_frames_are_told() -> None:
     spec = frame_spec(TrainConfig(method="compact"))
     with pytest.warns(UserWarning, match="S01, S02, S03, S04, S05 and 13 more are learnt from and validate"):
-        training.generated_frames(SynthConfig(), spec, 4, 1)
+        app_training.generated_frames(SynthConfig(), spec, 4, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        training.generated_frames(SynthConfig.parse(CROWD), spec, 4, 1)
+        app_training.generated_frames(SynthConfig.parse(CROWD), spec, 4, 1)
 
 
 class Stop(Callback):
@@ -168,3 +173,86 @@ def test_a_run_begins_with_no_network_of_another_image(tmp_path: Path) -> None:
     begin_with(Detector(c), tmp_path / "best.ckpt", [])
     with pytest.raises(ModelError, match="of another network: input"):
         begin_with(Detector(config("paf", settings={**small.TINY["paf"], "input": "amplitude"})), tmp_path / "best.ckpt", [])
+
+
+def test_depths_that_training_cannot_keep_are_refused() -> None:
+    """A kept depth has 16 bits: 7 m became 0.446 m."""
+    with pytest.raises(ConfigError, match=r"max_depth_m 7 is beyond 6\.5 m"):
+        frame_spec(TrainConfig(method="compact", settings={"max_depth_m": 7.0}))
+    c = config("compact", settings={**small.TINY["compact"], "max_depth_m": 6.5})
+    far = small.dataset(1)
+    far["depth"][:] = 6.5
+    assert collate([StoredFrames(far, frame_spec(c))[0]]).depth.max() == pytest.approx(6.5)
+
+
+@pytest.mark.parametrize(
+    ("places", "wrong"),
+    [
+        ({"driver": "drivr"}, "drivr"),
+        ({"driver": "rear_left", "rear_left": "driver"}, ""),  # of a method with fewer places: none of its own lacks
+        ({"driver": "driver", "rear_left": "rear_left"}, ""),  # by its own name
+    ],
+)
+def test_a_new_place_that_the_method_does_not_have_is_refused(places: dict[str, str], wrong: str) -> None:
+    slots = ("driver", "front_passenger") if places["driver"] == "driver" else ("driver",)
+    if wrong:
+        with pytest.raises(ConfigError, match=f"unknown place of the method '{wrong}'") as caught:
+            as_named(small.dataset(1), places, slots=slots)
+        assert "did you mean driver?" in caught.value.hint
+    else:
+        assert set(slots) <= set(as_named(small.dataset(1), places, slots=slots)["person"].values)
+    assert list(as_named(small.dataset(1), places)["person"].values) == list(places.values())
+
+
+def test_people_in_places_that_go_are_on_one_side_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = small.dataset(8)
+    who = made["subject"].values
+    who[:] = ""
+    who[:4, 0], who[4:, 0], who[2:6, 1] = "A", "B", "P"
+    monkeypatch.setattr("cabinpose.store.open_dataset", lambda _: made)
+    run = config(
+        "lifting", settings={**small.TINY["lifting"], "slots": ["driver"]}, data={"car": {"places": {"driver": "driver"}}}
+    )
+    sides = cli_train._sides(cli_train.Train(out=tmp_path, datasets=(Path("car"),)), run, helps=True)
+    seen = [set(who[side["car"]["frame"].values].ravel()) - {""} for side in sides]
+    assert all(seen)
+    assert not seen[0] & seen[1]
+    assert all(list(side["car"]["person"].values) == ["driver"] for side in sides)
+
+
+@pytest.mark.parametrize("method", ["paf", "yolo"])
+def test_a_hidden_joint_of_unknown_depth_is_not_learnt_to_be_absent(method: str) -> None:
+    c = config(method)
+    made, head = small.dataset(3), CABINPOSE.index["head"]
+    made["joints_3d"][:, :, head] = np.nan
+    made["visibility"][:, :, head] = np.where(made["subject"] != "", 2, 0)
+    some = StoredFrames(made, frame_spec(c))
+    batch = collate([some[i] for i in range(3) if some[i].present.all()])
+    detector = Detector(c)
+    at = detector.method_config.joints.index("head")
+    weights = detector.network.state_dict()
+    rows = weights["heat.12.bias"][at : at + 1] if method == "paf" else weights["classes.bias"][at :: len(CABINPOSE.joints)]
+    with torch.no_grad():
+        before = detector.method.loss(detector.network.eval(), batch)["loss"].item()
+        rows += 0.7
+        assert detector.method.loss(detector.network, batch)["loss"].item() == pytest.approx(before, abs=1e-6)
+    if method == "paf":
+        assert [presence_of(batch, labels)[:, at].unique().tolist() for labels in (2, 3)] == [[1], [1]]
+
+
+def test_another_callback_may_stop_a_run_in_its_epoch(tmp_path: Path) -> None:
+    class StopAtOnce(Callback):
+        def on_train_batch_end(self, trainer: Any, *_: Any) -> None:
+            trainer.should_stop = True
+
+    c = config("lifting", epochs=3)
+    run = fit(c, frames(c), frames(c), tmp_path, machines=ONE, observers=Observers(callbacks=(StopAtOnce(),)))
+    assert torch.load(run.with_name("last.ckpt"), weights_only=True)["epoch"] == 0
+
+
+@pytest.mark.parametrize(("count", "devices", "dropped"), [(6, 1, True), (6, 2, False), (8, 2, True)])
+def test_no_device_goes_without_a_batch(count: int, devices: int, dropped: bool) -> None:
+    c = config("lifting")
+    data = training._Frames(c, frames(c, count), frames(c, 1))
+    data.trainer = SimpleNamespace(current_epoch=0, world_size=devices)  # type: ignore[assignment]
+    assert data.train_dataloader().drop_last is dropped

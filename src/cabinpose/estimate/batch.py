@@ -33,6 +33,12 @@ class Batch(NamedTuple):
     wheel: Tensor | None = None
     rgb: Tensor | None = None
 
+    @property
+    def told(self) -> Tensor:
+        """(N, S, J) bool: whether it is said where a joint is, or that the image does not show it."""
+        somewhere = self.present.unsqueeze(-1) & (self.visibility > 1)
+        return (self.visibility != NOT_LABELLED) & ~(somewhere & ~torch.isfinite(self.joints).all(-1))
+
     def images(self, names: Sequence[str]) -> tuple[Tensor, ...]:
         """The images of these names, as a network takes them. Raises ValueError for one that was not read."""
         images: tuple[Tensor | None, ...] = tuple(getattr(self, name) for name in names)

@@ -42,10 +42,10 @@ class Curves(Callback):
         trainer.should_stop = self.stops
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, *_: Any) -> None:
-        """Add the epoch's numbers; decide whether it was the last."""
+        """Add the epoch's numbers; decide whether it was the last, unless another callback has."""
         known = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith(("train_", "val_"))}
         self._rows.append({"epoch": trainer.current_epoch, "step": trainer.global_step, **known})
-        trainer.should_stop = self.stops
+        trainer.should_stop = trainer.should_stop or self.stops
         if trainer.is_global_zero:
             self._write()
 

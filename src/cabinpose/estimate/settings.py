@@ -65,7 +65,9 @@ class ViewSettings(Settings):
         float | None,
         Field(gt=0, description="Focal length of the view (px); default: 139 at 352 px width; null, in older models: 160."),
     ] = Field(default_factory=lambda settings: _FOCAL_PER_WIDTH * settings["width"])
-    max_depth_m: Annotated[float, Field(gt=0, le=20, description="What lies farther counts as invalid (m).")] = 3.0
+    max_depth_m: Annotated[
+        float, Field(gt=0, le=20, description="What lies farther counts as invalid (m); training takes 6.5 at most.")
+    ] = 3.0
     slots: Annotated[tuple[str, ...], Field(min_length=1, description="Places that people are predicted for.")] = OCCUPANT_SLOTS
 
     @cached_property

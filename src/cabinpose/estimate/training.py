@@ -31,7 +31,7 @@ from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, epoch_order, mirrored_labels, trained_on
 from cabinpose.estimate.found import mirrored_slots
 from cabinpose.estimate.guards import alone, interruptible, quiet, too_little_memory
-from cabinpose.estimate.inputs import Kept
+from cabinpose.estimate.inputs import MOST_M, Kept
 from cabinpose.estimate.loggers import check_loggers, open_loggers
 from cabinpose.estimate.methods import ARRAYS_SUFFIX, METHODS, ArrayMethod, NetworkMethod, Progress, method_of
 from cabinpose.estimate.onnx_model import JOINT_DEFINITION, TRAINED_ON, packaged_models
@@ -156,7 +156,7 @@ class _Frames(lightning.LightningDataModule):
         config, frames = self._config, len(cast(Sized, self._training))
         count = frames if config.epoch_steps is None else config.epoch_steps * config.batch
         order = epoch_order(frames, count, trainer.current_epoch, config.seed)
-        return self._loader(self._training, sampler=order, drop_last=count >= config.batch)
+        return self._loader(self._training, sampler=order, drop_last=count >= config.batch * trainer.world_size)
 
     def val_dataloader(self) -> DataLoader[Kept]:
         """The validation frames in their order."""
@@ -472,9 +472,12 @@ def begin_with(detector: Detector, source: Path, training: Frames | Sequence[Kep
 
 
 def frame_spec(config: TrainConfig) -> FrameSpec:
-    """What a run takes of each frame."""
+    """What a run takes of each frame. Raises ConfigError for depths that frames are not kept with."""
     method = METHODS[config.method]
-    return TASKS[method.task].spec(method.settings(config.settings))._replace(depth_image=config.depth)
+    spec = TASKS[method.task].spec(method.settings(config.settings))
+    if (farthest := spec.view.max_depth_m) > MOST_M:
+        raise ConfigError(f"max_depth_m {farthest:g} is beyond {MOST_M:g} m, what training keeps", hint="set a smaller one")
+    return spec._replace(depth_image=config.depth)
 
 
 def complete(config: TrainConfig, training: Frames | Sequence[Kept]) -> TrainConfig:

@@ -52,7 +52,8 @@ def as_named(
     Raises
     ------
     ConfigError
-        For unknown places and joints, two of one name, and sets between which there is no table.
+        For unknown places and joints, new places that are none of the `slots` where one of these lacks, two of one name, and sets
+        between which there is no table.
     DatasetError
         For a joint that nobody in the dataset has.
     """
@@ -115,6 +116,9 @@ def _with_places(dataset: xr.Dataset, places: Mapping[str, str], slots: Sequence
     lacking = [slot for slot in slots if slot not in places.values()]
     if not lacking:
         return named
+    for place, name in places.items():
+        if name not in (place, *slots):  # a place of another method; where one of this method's is lacking, a mistake
+            raise unknown_name("place of the method", name, list(slots))
     missing = {
         str(name): np.nan if each.dtype.kind == "f" else 0 if each.dtype.kind in "iub" else ""
         for name, each in named.variables.items()

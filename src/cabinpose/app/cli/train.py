@@ -162,7 +162,12 @@ def _sides(command: Train, config: TrainConfig, *, helps: bool) -> Sides:
     if not helps:
         for name, dataset in datasets.items():
             warn_of_labels(dataset, name)
-    return training_split(as_configured(config, datasets), command.splits, command.train, command.validate, share=command.val)
+    sides = training_split(datasets, command.splits, command.train, command.validate, share=command.val)
+    if not config.data:
+        return sides
+    named = as_configured(config, datasets)  # people in places that go are in the images: who learns is known before
+    learnt, judged = ({name: named[name].sel(frame=part["frame"].values) for name, part in side.items()} for side in sides)
+    return learnt, judged
 
 
 def _frames(command: Train, sides: Sides | None, spec: FrameSpec, seed: int) -> tuple[Frames, Frames]:

@@ -16,8 +16,9 @@ def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     """The terms of the loss and their sum, `loss`, as means over the frames.
 
     heat, fields: half the squared L2 norm of the maps' error, all stages (Caffe's Euclidean loss; the thesis prints the norm
-    itself) · presence: for each joint the cross entropy of its labels divided by their number, summed over the joints. Maps and
-    presence of a joint count where everybody's is labelled; fields where both ends' are, and the background where all are.
+    itself) · presence: for each joint the cross entropy of its labels divided by their number, summed over the joints. The
+    presence of a joint counts where everybody's is labelled, its maps where everybody's place is known too; fields where both
+    ends' are, and the background where all are.
     """
     (image,) = batch.images(network.config.inputs)
     maps: Maps = network(image)
@@ -26,7 +27,7 @@ def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     n = len(image)
     labels = network.config.presence_labels
     zero = maps.heat.new_zeros(())
-    told = (batch.visibility != NOT_LABELLED).all(dim=1)  # (N, J)
+    labelled, told = (batch.visibility != NOT_LABELLED).all(dim=1), batch.told.all(dim=1)  # (N, J)
     of_heat = torch.cat((told, told.all(dim=1, keepdim=True)), dim=1)[..., None, None]
     ends = torch.tensor(network.config.joint_set.limbs, device=told.device)
     of_fields = told[:, ends].all(dim=-1).repeat_interleave(2, dim=1)[..., None, None]
@@ -36,14 +37,15 @@ def loss(network: Paf, batch: Batch) -> dict[str, Tensor]:
     }
     if labels:
         wrong = functional.cross_entropy(maps.presence.flatten(0, 1), presence_of(batch, labels).flatten(), reduction="none")
-        terms["presence"] = (wrong * told.flatten()).sum() / labels / n
+        terms["presence"] = (wrong * labelled.flatten()).sum() / labels / n
     terms["loss"] = sum(terms.values(), start=zero)
     return terms
 
 
 def presence_of(batch: Batch, labels: int) -> Tensor:
     """(N, J) label of each joint over all people: 0 = not in the image, 1 = there; of three labels 1 = occluded, 2 = visible."""
-    seen = (batch.visibility * in_image(batch)).amax(dim=1)
+    labelled = batch.present.unsqueeze(-1) & (batch.visibility > 1) & (batch.visibility != NOT_LABELLED)
+    seen = (batch.visibility * labelled).amax(dim=1)
     return (seen > 0).long() + (seen == Visibility.VISIBLE).long() * (labels == 3)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from cabinpose.estimate.batch import NOT_LABELLED, Batch
+from cabinpose.estimate.batch import Batch
 from cabinpose.estimate.paf.decode import WINDOW
 from cabinpose.estimate.yolo.config import OFFSET_M, YoloConfig
 from cabinpose.estimate.yolo.model import Grid, Yolo
@@ -90,7 +90,7 @@ def truths(batch: Batch, config: YoloConfig) -> Truths:
     surface = surface_depth(batch.depth, uvz[..., :2])
     offset = uvz[..., 2] - surface
     offset = torch.where(known & (offset.abs() < _OWN_SKIN_M), offset / OFFSET_M, torch.nan)
-    labelled = (batch.visibility != NOT_LABELLED).flatten(1)
+    labelled = batch.told.flatten(1)
     return Truths(known, (cell[..., 1] * across + cell[..., 0]).long(), box, offset, labelled)
 
 
