@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import small
 import torch
 import xarray as xr
 
+from cabinpose.app.adapt import stages
 from cabinpose.app.adapt.decision import compared_errors, decide, floating, found_only, limb_spread, unsteadiness
 from cabinpose.app.adapt.pseudo_labels import Course, Rules, choose, course_of, inconsistent, labelled
 from cabinpose.app.adapt.stages import learning, some_rows
@@ -17,6 +20,7 @@ from cabinpose.core import CABINPOSE, Visibility
 from cabinpose.estimate.augment import move
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.data import StoredFrames
+from cabinpose.estimate.joint_predictor import JointPredictor
 from cabinpose.estimate.settings import ViewSettings
 from cabinpose.estimate.train_config import TrainConfig
 from cabinpose.estimate.training import frame_spec
@@ -124,7 +128,7 @@ def test_joints_that_did_not_pass_are_there_at_an_unknown_place() -> None:
     found = replace(found, presence=presence)
     chosen = choose(found, course, Rules())
     assert chosen.frames.all()
-    made = labelled(small.dataset(5).assign_attrs(width=64, height=48), found, chosen)
+    made = labelled(small.dataset(5).assign_attrs(width=64, height=48), found, chosen, np.zeros(5, bool))
     assert made["visibility"].values[:, 0, :5].tolist() == [[Visibility.VISIBLE] * 5] * 5
     assert (made["visibility"].values[:, 0, 5:7] == [Visibility.VISIBLE, Visibility.OUTSIDE_IMAGE]).all()
     assert (made["visibility"].values[:, 1:] == Visibility.ABSENT).all()
@@ -135,6 +139,37 @@ def test_joints_that_did_not_pass_are_there_at_an_unknown_place() -> None:
     assert np.isnan(kept.joints[0, 5]).all()
     assert kept.visibility[0, 5] == Visibility.VISIBLE
     assert np.isfinite(kept.joints[0, 0]).all()
+
+
+def test_frames_whose_front_row_was_exchanged_are_learnt_from_as_their_mirror_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing says where the wheel is; the model has seen it on the right in frame 1, and so named who sits there the driver."""
+    found, course = track(3)
+    model = SimpleNamespace(drive_side="")
+    by_place = replace(found, joints_3d=found.joints_3d.copy())
+    by_place.joints_3d[1] = by_place.joints_3d[1, [1, 0, 2]]
+    monkeypatch.setattr(stages, "predict_dataset", lambda _, told: {"left": by_place, "": found}[told.drive_side])
+    dataset = small.dataset(3).assign_attrs(width=64, height=48)
+    turned = stages.exchanged(cast(JointPredictor, model), dataset, found)
+    assert turned.tolist() == [False, True, False]
+    assert model.drive_side == ""
+    made = labelled(dataset, found, choose(found, course, Rules()), turned)
+    spec = frame_spec(TrainConfig(method="compact", settings=small.TINY["compact"]))
+    learnt, plain = (StoredFrames(each, spec) for each in (made, dataset))
+    assert [int(learnt[i].wheel) for i in range(3)] == [0, 1, 0]
+    for i in range(3):
+        seen = plain[i].depth
+        np.testing.assert_array_equal(learnt[i].depth, seen[:, ::-1] if i == 1 else seen)
+
+
+def test_too_few_rows_of_frames_decide_nothing() -> None:
+    """Ten frames in a row are one block, of which every resample is the same."""
+    for count, told in ((10, "no difference"), (20, "no difference"), (30, "better")):
+        clean, course = track(count, speed_m_s=0.0)
+        decision = decide(wall(count, 0.95), noisy(clean, 0.01), clean, course)
+        each = decision.measures["unsteadiness"]
+        assert each.said == told
+        assert np.isnan((each.low, each.high)).all() == (count < 30)
+        assert decision.adopt == (count == 30)
 
 
 def test_a_motion_leaves_the_state_of_what_has_no_place() -> None:

@@ -256,3 +256,20 @@ def test_no_device_goes_without_a_batch(count: int, devices: int, dropped: bool)
     data = training._Frames(c, frames(c, count), frames(c, 1))
     data.trainer = SimpleNamespace(current_epoch=0, world_size=devices)  # type: ignore[assignment]
     assert data.train_dataloader().drop_last is dropped
+
+
+def test_a_run_does_not_go_on_with_other_frames(tmp_path: Path) -> None:
+    """As with another --learn of `adapt`, or with another dataset of as many frames; of a run of before nobody knows."""
+    c = config("lifting", epochs=2)
+    mine, other = (StoredFrames(small.dataset(4).assign_attrs(frames_id=name), frame_spec(c)) for name in ("mine", "other"))
+    fit(c, mine, mine, tmp_path, machines=ONE, observers=Observers(callbacks=(Stop(epoch=0),)))
+    last = tmp_path / "last.ckpt"
+    for frames_ in (frames(c, 6), other):
+        with pytest.raises(ModelError, match="begun with other training frames") as caught:
+            fit(c, frames_, mine, tmp_path, start=Start(resume=True), machines=ONE)
+        assert caught.value.hint
+    known = torch.load(last, weights_only=True)
+    assert known.pop("training_frames") == {"count": 4, "mine": "0-3"}
+    torch.save(known, last)
+    fit(c, other, mine, tmp_path, start=Start(resume=True), machines=ONE)
+    assert torch.load(last, weights_only=True)["epoch"] == 1

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence, Sized
-from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
@@ -17,16 +16,16 @@ from zipfile import is_zipfile
 import lightning
 import numpy as np
 import torch
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint, WeightAveraging
-from lightning.pytorch.plugins import TorchCheckpointIO
+from lightning.pytorch.callbacks import Callback, WeightAveraging
 from pydantic import ValidationError
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cabinpose.core import ANATOMY, ConfigError, DatasetError, ModelError, check_archive, make_folder, output_errors, write_whole
+from cabinpose.core import ANATOMY, ConfigError, DatasetError, ModelError, check_archive, make_folder, output_errors
 from cabinpose.estimate.array_model import write_arrays
 from cabinpose.estimate.augment import Mirror
 from cabinpose.estimate.batch import Batch, ray_tensor
+from cabinpose.estimate.checkpoints import MovedCheckpoint, WholeCheckpoints
 from cabinpose.estimate.curves import Curves
 from cabinpose.estimate.data import Frames, FrameSpec, GeneratedFrames, collate, epoch_order, mirrored_labels, trained_on
 from cabinpose.estimate.found import mirrored_slots
@@ -44,6 +43,7 @@ from cabinpose.store import merged_ranges
 _MEASURED = 500  # training frames that open settings are measured on
 _SEEDS = 0x7FFFFFFFFFFFFFFF
 _BY_NAME = ("slots", "skeleton", "body")  # settings in which a network to begin with may differ
+_FRAMES = "training_frames"  # in a checkpoint, see `_told`
 _NETWORK = "network."  # how the names of the network's tensors begin in a checkpoint
 
 
@@ -114,14 +114,17 @@ class Detector(lightning.LightningModule):
         """Adds the frames that the weights have learnt from so far."""
         learnt = trained_on(self.learns_from, self.current_epoch + 1)
         checkpoint |= {TRAINED_ON: merged_ranges(self.trained_on, learnt), JOINT_DEFINITION: self.joint_definition}
+        checkpoint[_FRAMES] = _told(self.learns_from)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Takes over what a run that goes on has learnt from. Raises ModelError for one that has learnt other joints."""
+        """Takes over what a run that goes on has learnt from. Raises ModelError for one of other joints or other frames."""
         if checkpoint.get(JOINT_DEFINITION) != self.joint_definition:
             raise ModelError(
                 "the run was begun by a version up to 0.2, whose joints lie elsewhere (docs/joints.md)",
                 hint="begin anew with --init and the run's best.ckpt",
             )
+        if checkpoint.get(_FRAMES, told := _told(self.learns_from)) != told:  # of a run of before nobody knows
+            raise ModelError("the run was begun with other training frames", hint="resume with the frames of that run")
         self.trained_on = dict(checkpoint.get(TRAINED_ON, {}))
 
     def configure_optimizers(self) -> Any:
@@ -261,8 +264,8 @@ def fit(
     frames = _Frames(config, training, validation)
     figure = TASKS[METHODS[config.method].task].best
     monitor, mode = ("val_loss", "min") if config.best_by == "loss" else (figure, "max")
-    best = _MovedCheckpoint(out, "best", monitor=monitor, mode=mode, enable_version_counter=False)
-    newest = _MovedCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
+    best = MovedCheckpoint(out, "best", monitor=monitor, mode=mode, enable_version_counter=False)
+    newest = MovedCheckpoint(out, "last", save_on_train_epoch_end=True, enable_version_counter=False)
     average = [WeightAveraging(multi_avg_fn=_moving_average(config.average))] if config.average else []
     curves = Curves(out, monitor, mode, config.patience, observers.draw)
     reports = [_BatchReport(observers.progress, figure)] if observers.progress is not None else []
@@ -273,7 +276,7 @@ def fit(
             callbacks=[*average, best, newest, curves, *reports, *observers.callbacks], logger=loggers,
             num_sanity_val_steps=0, log_every_n_steps=10, enable_model_summary=False,
             enable_progress_bar=False, reload_dataloaders_every_n_epochs=1,
-            plugins=[_WholeCheckpoints()],
+            plugins=[WholeCheckpoints()],
         )  # fmt: skip
         detector = Detector(config)
         detector.learns_from = training
@@ -284,36 +287,6 @@ def fit(
         with output_errors(out), alone(out, trainer), interruptible():
             trainer.fit(detector, datamodule=frames, ckpt_path=resumed, weights_only=True)
     return out / "best.ckpt"
-
-
-class _MovedCheckpoint(ModelCheckpoint):
-    """Checkpoints in a folder that may have been moved, of which Lightning's forget the best score there."""
-
-    __qualname__ = ModelCheckpoint.__qualname__  # by which last.ckpt knows its state, that of runs of before too
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Go on from the best epoch of a checkpoint, by its name in this folder if it came along."""
-
-        def here(path: str) -> str:
-            return str(Path(self.dirpath or "", Path(path).name)) if path else path
-
-        if Path(here(state_dict["best_model_path"])).is_file():
-            names = ("best_model_path", "kth_best_model_path", "last_model_path")
-            state_dict = {
-                **state_dict, **{name: here(state_dict[name]) for name in names}, "dirpath": self.dirpath,
-                "best_k_models": {here(path): score for path, score in state_dict["best_k_models"].items()},
-            }  # fmt: skip
-        super().load_state_dict(state_dict)
-
-
-class _WholeCheckpoints(TorchCheckpointIO):
-    """Checkpoints that take their name when they are whole and on disk; Lightning copies them from the temporary folder."""
-
-    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, *_: Any, **__: Any) -> None:
-        """Write one. In memory first: torch hides a full disk from who asks."""
-        buffer = BytesIO()
-        torch.save(checkpoint, buffer)
-        write_whole(Path(path), buffer.getvalue(), kind=ModelError)
 
 
 def _check_judged(config: TrainConfig, validation: Frames | Sequence[Kept]) -> None:
@@ -486,6 +459,12 @@ def complete(config: TrainConfig, training: Frames | Sequence[Kept]) -> TrainCon
     given = method.settings(config.settings)
     settings = method.measured(given, lambda: _some(training))
     return config if settings is given else config.model_copy(update={"settings": settings.model_dump(mode="json")})
+
+
+def _told(training: Frames | Sequence[Kept]) -> dict[str, Any]:
+    """What tells the frames of a run, or of an epoch of it, from others: how many they are, and their ranges by dataset."""
+    count = training.count if isinstance(training, GeneratedFrames) else len(cast(Sized, training))
+    return {"count": count, **trained_on(training, 1)}
 
 
 def _some(training: Frames | Sequence[Kept]) -> list[Kept]:

@@ -26,6 +26,7 @@ MARGINS: Final = {"unsteadiness": 1.0, "limbs that change their length": 1.0, "j
 """mm, % and %: a model that is worse by less may be taken, since answers are off by centimetres (assumed)."""
 _FLOATS_M = 0.02  # a joint so far before the surface that the camera measured is not in a body
 _BLOCK = 10  # frames in a row that are drawn together: they resemble each other
+_FEWEST = 3  # of such blocks that tell how much means differ by chance: of one alone they do not
 _ROW = 5  # frames in a row that tell how long limbs are
 _RESAMPLES = 2000
 
@@ -33,8 +34,8 @@ _RESAMPLES = 2000
 @dataclass(frozen=True)
 class Compared:
     """A measure of two models on the same frames. unit · before, after: means · low, high: 95 % interval of the mean difference
-    over the frames that both answer, after minus before; NaN where no frame tells · frames: how many these are · margin: by how
-    much it may be worse.
+    over the frames that both answer, after minus before; NaN where too few tell · frames: how many these are, then 0 · margin: by
+    how much it may be worse.
     """
 
     unit: str
@@ -144,10 +145,13 @@ def _compared(unit: str, before: Floats, after: Floats, blocks: NDArray[np.int64
         np.float64
     )
     sums = sums[sums[:, 1] > 0]
+    means = float(before[both].mean()), float(after[both].mean())
+    if len(sums) < _FEWEST:
+        return Compared(unit, *means, np.nan, np.nan, 0)
     weights = frame_weights(np.arange(len(sums)), _RESAMPLES, rng=np.random.Generator(np.random.Philox(seed)))
     drawn = weighted_sums(weights, sums)
     low, high = (float(x[0]) for x in interval(drawn[:, :1] / drawn[:, 1:]))
-    return Compared(unit, float(before[both].mean()), float(after[both].mean()), low, high, int(both.sum()))
+    return Compared(unit, *means, low, high, int(both.sum()))
 
 
 def _block_numbers(course: Course) -> NDArray[np.int64]:

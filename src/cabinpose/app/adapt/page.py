@@ -161,7 +161,7 @@ def _decision(outcome: Adaptation) -> Html:
 
 def _cells(each: Compared) -> Sequence[str]:
     unit = each.unit
-    span = f"{each.low:+.2f} to {each.high:+.2f} {unit}" if each.frames else "not to be measured: no rows of frames"
+    span = f"{each.low:+.2f} to {each.high:+.2f} {unit}" if each.frames else "not to be measured: too few rows of frames"
     return (f"{each.before:.2f} {unit}", f"{each.after:.2f} {unit}", span, str(each.frames), each.said if each.frames else "")
 
 

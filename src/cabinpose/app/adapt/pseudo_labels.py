@@ -124,9 +124,10 @@ def choose(found: Predictions, course: Course, rules: Rules) -> PseudoLabels:
     return PseudoLabels(joints & ~left[:, None, None], ~left, counts)
 
 
-def labelled(dataset: xr.Dataset, found: Predictions, chosen: PseudoLabels) -> xr.Dataset:
+def labelled(dataset: xr.Dataset, found: Predictions, chosen: PseudoLabels, exchanged: Mask) -> xr.Dataset:
     """The frames that are learnt from, with the answers for labels: images and camera are the dataset's, all else the model's.
 
+    exchanged: (F,) frames in which the model took the wheel to be on the right, which they then say.
     Joints that are found and did not pass are there at an unknown place; those that are not found are outside of the image.
     """
     rows = np.flatnonzero(chosen.frames)
@@ -148,6 +149,10 @@ def labelled(dataset: xr.Dataset, found: Predictions, chosen: PseudoLabels) -> x
     dims = ("frame", "person", "joint")
     who = np.where(here, "somebody", "").astype(object)
     arrays = {"joints_3d": ((*dims, "xyz"), xyz), "joints_2d": ((*dims, "uv"), uv), "visibility": (dims, states)}
-    names = {"person": list(found.persons), "joint": list(CABINPOSE.joints), "subject": (dims[:2], who)}
+    told = dataset["drive_side"].values[rows] if "drive_side" in dataset else ""
+    side = np.where(exchanged[rows], "right", told).astype(object)
+    names = {
+        "person": list(found.persons), "joint": list(CABINPOSE.joints), "subject": (dims[:2], who), "drive_side": ("frame", side),
+    }  # fmt: skip
     named = frames.assign(arrays).assign_coords(names)
     return named.assign_attrs(generator="cabinpose.adapt", joint_definition=ANATOMY)

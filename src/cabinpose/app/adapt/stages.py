@@ -27,6 +27,7 @@ from cabinpose.synth import SynthConfig
 FEWEST: Final = 8  # frames that can be told apart into those that are learnt from and those that judge
 JUDGES: Final = 0.25  # share of the frames, the last ones
 _ROW = 30  # frames in a row that are looked at, where not all of them are
+_SAME_M = 1e-3  # answers to one frame in two batches are nearer
 
 Step = Callable[[int], None]  # called with the number of frames done
 
@@ -102,6 +103,17 @@ def replace_rows(found: Predictions, rows: NDArray[np.int64]) -> Predictions:
     """The answers on some frames, by their positions."""
     some = found.map(lambda values: values[rows])
     return replace(found, **vars(some), frame=found.frame[rows])
+
+
+def exchanged(model: JointPredictor, dataset: xr.Dataset, found: Predictions) -> NDArray[np.bool_]:
+    """(F,) frames in which a model has exchanged who it found in the front row, as the wheel is on the right, or seems to be."""
+    said, model.drive_side = model.drive_side, "left"
+    try:
+        by_place = predict_dataset(dataset, model)
+    finally:
+        model.drive_side = said
+    same = np.isclose(by_place.joints_3d, found.joints_3d, atol=_SAME_M, equal_nan=True)
+    return np.any(~same, axis=(1, 2, 3))
 
 
 def kept_labels(look: FirstLook) -> Predictions:

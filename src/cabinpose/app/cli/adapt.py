@@ -137,7 +137,7 @@ def _trained(command: Adapt, model: JointPredictor, look: FirstLook) -> Adaptati
     from cabinpose.app.adapt.decision import compared_errors, decide
     from cabinpose.app.adapt.page import Adaptation
     from cabinpose.app.adapt.pseudo_labels import course_of, labelled
-    from cabinpose.app.adapt.stages import by_labels, replace_rows, scenes_for
+    from cabinpose.app.adapt.stages import by_labels, exchanged, replace_rows, scenes_for
     from cabinpose.app.adapt.tuning import Budget, generated, held_out_of, tuned
     from cabinpose.estimate import Observers, load_model
     from cabinpose.evaluate import predict_dataset
@@ -157,7 +157,8 @@ def _trained(command: Adapt, model: JointPredictor, look: FirstLook) -> Adaptati
     theirs = None
     if command.learn != "generated":
         first = replace_rows(look.found, np.arange(part))
-        theirs = labelled(look.dataset.isel(frame=slice(part)), first, look.chosen)
+        learnt_from = look.dataset.isel(frame=slice(part))
+        theirs = labelled(learnt_from, first, look.chosen, exchanged(model, learnt_from, first))
     with ExitStack() as stack:
         report, counted = stack.enter_context(progress()), False
         report.phase("loading torch")
@@ -209,8 +210,8 @@ def _tell(command: Adapt, look: FirstLook, outcome: Adaptation | None) -> None:
         print()
         rows = [["", "before", "after", "difference, 95 %", ""]]
         for name, each in outcome.decision.measures.items():
-            span = f"{each.low:+.2f} to {each.high:+.2f} {each.unit}"
-            rows.append([name, f"{each.before:.2f}", f"{each.after:.2f}", span, each.said])
+            span = f"{each.low:+.2f} to {each.high:+.2f} {each.unit}" if each.frames else "too few frames"
+            rows.append([name, f"{each.before:.2f}", f"{each.after:.2f}", span, each.said if each.frames else ""])
         print_table(rows, words=(0, 4))
         print(outcome.decision.words)
     print(command.out / _FILES[0])
