@@ -188,7 +188,7 @@ def test_depths_that_training_cannot_keep_are_refused() -> None:
 @pytest.mark.parametrize(
     ("places", "wrong"),
     [
-        ({"driver": "drivr"}, "drivr"),
+        ({"driver": "driverr"}, "driverr"),
         ({"driver": "rear_left", "rear_left": "driver"}, ""),  # of a method with fewer places: none of its own lacks
         ({"driver": "driver", "rear_left": "rear_left"}, ""),  # by its own name
     ],

@@ -229,7 +229,7 @@ def fit(
     DependencyError
         Where a logger is not installed.
     ModelError
-        Where the run to resume, or to begin with, is of another network.
+        Where the run to resume, or to begin with, is of another network, or the former of other frames.
     """
     start, machines, observers = with_old_keywords(start or Start(), machines or Machines(), observers or Observers(), old)
     check_loggers(observers.loggers)
