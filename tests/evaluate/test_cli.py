@@ -265,7 +265,7 @@ def test_no_dataset(run: Callable[..., Outcome], files: list[Path], tmp_path: Pa
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        (["--persons", "drivr"], "unknown slot 'drivr'"),
+        (["--persons", "pilot"], "unknown slot 'pilot'"),
         (["--seed", "-1"], "-1 is no seed"),
         (["--itop-npz", "x.npz"], "ITOP frames are scored for one model"),
     ],

@@ -13,7 +13,8 @@ import xarray as xr
 
 from cabinpose.app.experiment import frames
 from cabinpose.app.experiment.config import FrameSelection, load
-from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, contents, draw
+from cabinpose.app.experiment.frames import Drawn, SelectedFrames, contents, draw
+from cabinpose.app.experiment.pieces import DatasetPiece
 from cabinpose.app.experiment.plan import make_plan
 from cabinpose.app.experiment.schedule import make_cells
 from cabinpose.core.errors import ConfigError, DatasetError

@@ -25,7 +25,8 @@ from cabinpose.app.experiment.config import (
     merged,
     packaged,
 )
-from cabinpose.app.experiment.frames import contents, wanted_frames
+from cabinpose.app.experiment.frames import contents
+from cabinpose.app.experiment.pieces import wanted_frames
 from cabinpose.app.experiment.plan import ExperimentPlan, make_plan
 from cabinpose.app.experiment.results import frames_of
 from cabinpose.app.experiment.schedule import make_cells

@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.app.experiment.frames import DatasetPiece, Drawn, SelectedFrames, draw, opened
+from cabinpose.app.experiment.frames import Drawn, SelectedFrames, draw, opened
+from cabinpose.app.experiment.pieces import DatasetPiece
 from cabinpose.core import SKELETONS, ConfigError, DatasetError, make_folder, read_arrays, whole_file, write_whole
 from cabinpose.estimate import METHODS
 from cabinpose.evaluate import EvaluationOptions, ModelErrors, clusters_of, errors_of, joined_errors, samples_of

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from cabinpose.app.experiment.cells import TrainCell
-from cabinpose.app.experiment.frames import DatasetPiece, SelectedFrames, draw, opened
+from cabinpose.app.experiment.frames import SelectedFrames, draw, opened
+from cabinpose.app.experiment.pieces import DatasetPiece
 from cabinpose.app.experiment.plan import FRAME_S, RECORDED_S, ExperimentPlan
 from cabinpose.store import MANIFEST_NAME, open_dataset
 from cabinpose.synth import CabinScene, SynthConfig, generate

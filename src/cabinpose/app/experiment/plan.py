@@ -9,19 +9,8 @@ from typing import Any
 
 from cabinpose.app.experiment.cells import DataCell, ExperimentCell, TestCell, TrainCell
 from cabinpose.app.experiment.config import Experiment, FrameSelection, RunScale, Training, merged
-from cabinpose.app.experiment.frames import (
-    DatasetPiece,
-    Drawn,
-    SelectedFrames,
-    check_subjects,
-    contents,
-    dealt_out,
-    digest,
-    needed,
-    opened,
-    pieces_of,
-    wanted_frames,
-)
+from cabinpose.app.experiment.frames import Drawn, SelectedFrames, check_subjects, contents, dealt_out, opened
+from cabinpose.app.experiment.pieces import DatasetPiece, digest, needed, pieces_of, wanted_frames
 from cabinpose.app.training_split import said_of
 from cabinpose.core import CABINPOSE, ConfigError, unknown_name
 from cabinpose.estimate import METHODS, ArrayMethod, TrainConfig
