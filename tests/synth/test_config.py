@@ -59,6 +59,12 @@ def test_overrides_are_put_in_place_of_what_a_file_says(tmp_path: Path) -> None:
     alone = SynthConfig.load(None, ("scene.occupancy.rear_center=0",)).scene
     assert alone.kind == "cabin"
     assert alone.occupancy == SynthConfig().scene.model_dump()["occupancy"] | {"rear_center": 0.0}
+    for others in ("scene.occupants.driver.belted=true", "scene.factorial.poses=1"):
+        beside = SynthConfig.load(None, ("scene.occupancy.rear_left=1", others)).scene
+        assert beside.kind == "cabin"
+        assert beside.occupancy == {"rear_left": 1.0}
+    path.write_text("scene: {occupants: {driver: {}}}", encoding="utf-8")
+    assert SynthConfig.load(path, ("scene.occupancy.rear_left=1",)).scene.model_dump()["occupancy"] == {"rear_left": 1.0}
     assert SynthConfig.load(None, ("scene={kind: room, rooms: 3}", "camera.views={room: 1.0}")).scene.kind == "room"
 
 
@@ -146,6 +152,9 @@ def test_a_preset_of_a_sensor_with_fields_changed() -> None:
     base = SENSORS["evk75123"]
     assert config.camera.sensor_model == base.model_copy(update={k: v for k, v in changed.items() if k != "preset"})
     assert SynthConfig.parse(config.model_dump(mode="json")) == config
+    lens = {"preset": "evk75123", "camera": {"width": 640, "height": 480, "fov_deg": 90}}
+    assert SynthConfig.parse({"camera": {"sensor": lens}}).camera.sensor_model.field_radius_px is None
+    assert SynthConfig.parse({"camera": {"sensor": lens | {"field_radius_px": 300}}}).camera.sensor_model.field_radius_px == 300
     with pytest.raises(ConfigError, match=r"^unknown field of a sensor 'integration_time_us'$") as caught:
         SynthConfig.parse({"camera": {"sensor": {"preset": "evk75123", "integration_time_us": 300}}})
     assert "integration_s" in str(caught.value.hint)

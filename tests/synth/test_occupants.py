@@ -17,6 +17,7 @@ from cabinpose.scene.cabin import SeatSetting
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_config, exact_scene, without_defaults
 from cabinpose.synth.frame_maker import FrameMaker
+from cabinpose.synth.plan import Plan
 from cabinpose.synth.preflight import preflight
 from cabinpose.synth.sample import SceneSampler
 from cabinpose.synth.scene import Scene
@@ -137,6 +138,10 @@ def test_profiles_of_two_people_are_their_own() -> None:
     assert found == [pytest.approx(15.0), pytest.approx(-10.0)]
 
 
+STEPS = {"kind": "incremental", "axes": {"lelbow.flexion": {"step_deg": 30.0}}}
+FORWARDS = {"fore_aft_m": 0.08, "height_m": 0.0, "torso_angle_rad": 0.4}
+
+
 @pytest.mark.parametrize(
     ("scene", "message"),
     [
@@ -150,6 +155,9 @@ def test_profiles_of_two_people_are_their_own() -> None:
         ({"occupants": {"rear_left": {"action": "drive"}}}, "drive makes no sense in the rear_left seat"),
         ({"occupants": {"rear_center": {}}, "cars": ["city_car"]}, "city_car has no rear_center seat"),
         ({"factorial": {"poses": 1}, "occupants": {"driver": {"subject": "S01"}}}, "people take turns in the driver seat"),
+        ({"factorial": {"poses": 1}, "occupants": {"rear_left": {"subject": "S01"}}}, "S01 takes turns in the driver seat"),
+        ({"factorial": {"poses": 1}, "profile": STEPS}, "not through those of an incremental profile"),
+        ({"seats": {"front_passenger": FORWARDS}, "cars": ["suv", "shuttle"]}, "shuttle: seat front_passenger: fore_aft_m"),
         ({"factorial": {"poses": 1}}, "too young for the driver's seat of a factorial dataset: S05"),
     ],
 )  # fmt: skip
@@ -306,6 +314,12 @@ def test_every_combination_comes_equally_often() -> None:
     assert len({scene.people[0].posed.q.tobytes() for scene in made}) == 24
     with pytest.raises(ConfigError, match="25 frames are asked for, but all combinations are 24"):
         preflight(of, frames=25)
+
+
+def test_combinations_have_every_car_once() -> None:
+    of = config({"cars": ["C0001"], "random_cars": 3, "factorial": {"poses": 5}}, people={"subjects": ["S01"]})
+    assert of.frames == 3 * 2 * 5  # C0000 to C0002, from two views
+    assert Plan(of, SEED).cell(of.frames - 1) == ("C0002", "S01", "front_row")
 
 
 def test_people_take_turns_in_another_seat() -> None:

@@ -21,9 +21,7 @@ class Cabins:
         """like: those of a dataset whose cars are taken over where the seed makes the same ones."""
         cars = scene.cars if isinstance(scene, CabinScene) else ()
         self._changed = {car.name: car.dimensions for car in cars if isinstance(car, ChangedPreset)}
-        named = tuple(car.name if isinstance(car, ChangedPreset) else car for car in cars)
-        drawn = (f"C{i:04d}" for i in range(scene.random_cars if isinstance(scene, CabinScene) else 0))
-        self.names = (*named, *(car for car in drawn if car not in named))
+        self.names = scene.car_names if isinstance(scene, CabinScene) else ()
         self._seed = seed
         self._built = cached_once(20)(self._build)
         if like is not None and like._seed == seed:

@@ -90,7 +90,8 @@ class Camera(Model):
         for field in sensor.keys() - {"preset"} - Sensor.model_fields.keys():
             raise unknown_name("field of a sensor", field, list(Sensor.model_fields))
         changes = {field: value for field, value in sensor.items() if field != "preset"}
-        return sensor_by_name(str(sensor["preset"])).model_dump() | changes
+        preset = sensor_by_name(str(sensor["preset"])).model_dump(exclude={"field_radius_px"} if "camera" in changes else None)
+        return preset | changes  # an image circle is of one lens
 
     @field_validator("sensor")
     @classmethod

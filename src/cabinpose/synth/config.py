@@ -33,7 +33,7 @@ from cabinpose.scene.cabin import BeltMisuse
 from cabinpose.scene.sensor import NoiseModel, PhysicalNoise, StructuredLightNoise
 from cabinpose.scene.things import Attachment
 from cabinpose.synth.camera import Camera
-from cabinpose.synth.cars import Car, check_cars, is_car_file
+from cabinpose.synth.cars import Car, ChangedPreset, check_cars, is_car_file
 from cabinpose.synth.motion.config import SequenceConfig
 from cabinpose.synth.occupant import ExactSetting, ExactThing, Occupant, check_seats
 from cabinpose.synth.people import Model, People, Probability, RandomPeople, Range
@@ -173,6 +173,12 @@ class CabinScene(Model):
     )
 
     @property
+    def car_names(self) -> tuple[str, ...]:
+        """Every car, those that are named first; own meshes go by their paths."""
+        named = tuple(car.name if isinstance(car, ChangedPreset) else car for car in self.cars)
+        return (*named, *(car for i in range(self.random_cars) if (car := f"C{i:04d}") not in named))
+
+    @property
     def tells_restraints(self) -> bool:
         """Whether frames say how people and child seats are held, and who is a child."""
         young = self.children or self.infants or self.toddlers or self.loose_children
@@ -257,6 +263,11 @@ class CabinScene(Model):
             raise ConfigError(
                 f"people take turns in the {self.factorial.seat} seat of a factorial dataset, where {somebody.subject} is to sit",
                 hint="leave out the occupant's subject, or give factorial.seat another seat",
+            )
+        if self.factorial is not None and "incremental" in {p.kind for p in map(self.profile_of, OCCUPANT_SLOTS) if p}:
+            raise ConfigError(
+                "frames of a factorial dataset go through its combinations, and not through those of an incremental profile",
+                hint="leave out scene.factorial, or choose profile kind gaussian or mocap",
             )
         check_child_seats(self.child_seats, self.always_taken, self.objects)
         check_loose(self.loose_children, (*self.always_taken, *self.child_seats))
@@ -374,6 +385,12 @@ class SynthConfig(Model):
                 raise unknown_name("subject", name, [*SUBJECTS, *self.people.own, *(["R0000 .."] if self.people.random else [])])
         if len(set(named)) < len(named):
             raise ConfigError("one person sits in two seats", hint="name different subjects in scene.occupants")
+        if isinstance(self.scene, CabinScene) and self.scene.factorial is not None:
+            for name in (name for name in named if name in self.people.names):
+                raise ConfigError(
+                    f"{name} takes turns in the {self.scene.factorial.seat} seat of a factorial dataset, and has another one",
+                    hint=f"name somebody else in scene.occupants, or give people.subjects without {name}",
+                )
         return self
 
     @property
@@ -398,11 +415,10 @@ class SynthConfig(Model):
     @property
     def frames(self) -> int | None:
         """The number of frames that go through all that is to be combined; None where everything is drawn at random."""
-        counts = [profile.count for profile in self.profiles if isinstance(profile, IncrementalProfile)]
         if isinstance(self.scene, CabinScene) and self.scene.factorial is not None:
-            cars = len(self.scene.cars) + self.scene.random_cars
-            counts = [cars * len(self.people.names) * len(self.camera.weights) * self.scene.factorial.poses, *counts]
-        return min(counts, default=None)
+            cars, people, views = len(self.scene.car_names), len(self.people.names), len(self.camera.weights)
+            return cars * people * views * self.scene.factorial.poses
+        return min((profile.count for profile in self.profiles if isinstance(profile, IncrementalProfile)), default=None)
 
     def frames_or_all(self, frames: int | None) -> int:
         """The number of frames that is asked for, or else that of all combinations; ConfigError where there is neither."""
@@ -460,10 +476,14 @@ def room_preset() -> SynthConfig:
 def _overridden(data: Any, overrides: Sequence[str]) -> Any:
     """A copy of plain data with "KEY=VALUE" put in; keys of keys are parted by dots.
 
-    Of a mapping by name that the data lack, such as `scene.occupancy`, the other names keep their defaults.
+    Of a mapping by name that the data lack, such as `scene.occupancy`, the other names keep their defaults; beside occupants or
+    a factorial the other seats are empty.
     """
     result = copy.deepcopy(data)
-    defaults = {"occupancy": CabinScene().occupancy, "views": Camera().views}
+    scene = data.get("scene") if isinstance(data, dict) else None
+    some = isinstance(scene, dict) and (scene.get("occupants") or scene.get("factorial"))
+    some = some or any(override.strip().startswith(("scene.occupants", "scene.factorial")) for override in overrides)
+    defaults = {"occupancy": {} if some else CabinScene().occupancy, "views": Camera().views}
     for override in overrides:
         keys, equals, text = override.partition("=")
         keys = keys.strip()

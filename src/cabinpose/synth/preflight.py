@@ -177,7 +177,7 @@ def _every_car_has(config: SynthConfig, scene: CabinScene) -> bool:
         or (scene.sequence is not None and scene.sequence.activities)
         or any(occupant.action for occupant in scene.occupants.values())
     )
-    return taken and ours and not acting and set(always) <= set(SEATS_OF_ALL)
+    return taken and ours and not acting and not scene.seats and set(always) <= set(SEATS_OF_ALL)
 
 
 def _cars_in_doubt(config: SynthConfig, scene: CabinScene, plan: Plan, side: DriveSide) -> Iterator[_Car]:
@@ -199,7 +199,7 @@ def _cars_in_doubt(config: SynthConfig, scene: CabinScene, plan: Plan, side: Dri
 
 
 def _check_seats(scene: CabinScene, car: _Car) -> None:
-    """Refuses people in seats that the car lacks, or in none."""
+    """Refuses people in seats that the car lacks, or in none, and seats that cannot be set as asked for."""
     lacking = [slot for slot in scene.always_taken if slot not in car.sure]
     if lacking:
         raise ConfigError(
@@ -208,6 +208,12 @@ def _check_seats(scene: CabinScene, car: _Car) -> None:
         )
     if not scene.always_taken and not any(scene.occupancy.get(slot, 0.0) > 0 for slot in car.sure):
         raise ConfigError(f"{car.name}: no seat of it is ever taken", hint=f"give one of {', '.join(car.sure)} an occupancy")
+    for slot, asked in scene.seats.items():
+        if slot in car.cabin.seats:
+            try:
+                car.cabin.seats[slot].check(asked.setting)
+            except ConfigError as error:
+                raise ConfigError(f"{car.name}: {error}", hint=f"{error.hint}, or name other cars with scene.cars") from error
 
 
 def _check_actions(scene: CabinScene, car: _Car) -> None:
