@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -30,6 +31,7 @@ from cabinpose.synth.motion.film import EYES_LEAD_S
 from cabinpose.synth.motion.handover import giving_palm, meeting_place, taking_palm
 from cabinpose.synth.motion.minimum_jerk import FASTEST, PEAK, progress, progress_rate
 from cabinpose.synth.motion.planner import CHECKS_PER_FRAME, WHEEL_LIMIT, Surroundings
+from cabinpose.synth.motion.sequences import SequenceDraw
 from cabinpose.synth.motion.track import CLOSING_S, WIDTH, Held, duration, way_through
 from cabinpose.synth.posture.grasps import OPEN_HAND, Grasp, Hold, hold
 from cabinpose.synth.posture.places import GIVE, TAKE
@@ -568,3 +570,17 @@ def test_an_activity_for_which_no_seat_is_there_is_an_error(tmp_path: Path) -> N
     with pytest.raises(ConfigError, match="steer makes no sense for anybody") as caught:
         generate(config, 4, tmp_path / "none", seed=1)
     assert "look_around" in caught.value.hint
+
+
+@pytest.mark.parametrize(("recorded_hz", "taken_hz"), [(25.0, 30.0), (120.0, 30.0), (25.0, 10.0)])
+def test_two_seconds_of_a_recording_last_two_seconds(
+    recorded_hz: float, taken_hz: float, real_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    slow = tmp_path / "slow.bvh"
+    text = real_data("mocap/cmu_131_01.bvh").read_text("utf-8")
+    slow.write_text(re.sub(r"Frame Time: *\S+", f"Frame Time: {1.0 / recorded_hz}", text), encoding="utf-8")
+    profile = {"kind": "mocap", "path": str(slow), "rate_hz": taken_hz}
+    config = small_config(occupancy=TWO, sequence={"frames": 40, "rate_hz": RATE}, occupants={"driver": {"profile": profile}})
+    draw = SequenceDraw(config.scene.sequence, 1, 0, 0)
+    index = draw.recorded_index(config.scene, "driver", 2.0)
+    assert config.scene.profile_of("driver")._frame(index) == pytest.approx(2.0 * recorded_hz, abs=1)

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from cabinpose.core.errors import ConfigError
 from cabinpose.core.frames import is_rigid
 from cabinpose.scene import room as module
 from cabinpose.scene.room import furnish_room, place_room_camera
 from cabinpose.synth import FrameMaker
-from cabinpose.synth.config import room_preset
+from cabinpose.synth.config import SynthConfig, room_preset
+from cabinpose.synth.preflight import preflight
 from cabinpose.synth.streams import frame_rng
 
 
@@ -77,6 +79,16 @@ def test_camera_above_looks_down_on_the_person_with_the_wall_at_the_top_of_the_i
         assert spot[2] == 0.0
         shoulders = np.linalg.inv(pose) @ (*spot[:2], 1.4, 1.0)
         assert np.abs(shoulders[:2] / shoulders[2]).max() < 120 * 0.0035  # inside ITOP's middle 240 columns and rows
+
+
+@pytest.mark.parametrize("view", [{"rom_top": 1.0}, {"mine": {"position_m": [2.0, 0.0, 1.5], "look_at_m": [0.0, 0.0, 1.0]}}])
+def test_other_views_than_a_rooms_are_refused(view: dict[str, object]) -> None:
+    config = {"scene": {"kind": "room"}, "camera": {"sensor": "kinect_v1"}, "noise": {"kind": "structured_light"}}
+    preflight(SynthConfig.parse(config), frames=1)
+    config["camera"] |= {"views": {"room": 1.0, **view}}
+    with pytest.raises(ConfigError, match=f"unknown view of a room '{next(iter(view))}'") as caught:
+        preflight(SynthConfig.parse(config), frames=1)
+    assert "room_top" in (caught.value.hint or "")
 
 
 @pytest.mark.parametrize(("views", "seen"), [({"room_top": 1.0}, {"room_top"}), ({"driver": 1.0}, {"room"})])

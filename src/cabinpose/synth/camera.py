@@ -78,8 +78,8 @@ class Camera(Model):
         description="Weights of the views (in a car driver, front_row, rear, and mirror, roof_console, cluster, a_pillar,"
         " display, where cameras of products sit; in a room room, room_top), or in a car own poses by name (each of weight 1).",
     )
-    jitter_m: float = Field(0.02, ge=0.0, le=0.5, description="The position moves by up to this along each of the camera's axes.")
-    jitter_deg: float = Field(2.0, ge=0.0, le=45.0, description="The orientation turns by up to this about each of its axes.")
+    jitter_m: float = Field(0.02, ge=0.0, le=0.5, description="In a car the position moves by up to this along each camera axis.")
+    jitter_deg: float = Field(2.0, ge=0.0, le=45.0, description="In a car the orientation turns by up to this about each axis.")
     supersample: int = Field(2, ge=1, le=4, description="Parts a side of a pixel that sees an edge (flying pixels need 2).")
 
     @field_validator("sensor", mode="before")

@@ -12,11 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cabinpose.core import ConfigError, DriveSide, Floats
+from cabinpose.core import ConfigError, DriveSide, Floats, unknown_name
+from cabinpose.scene import ROOM_VIEWS
 from cabinpose.scene.body import SUBJECTS
 from cabinpose.scene.cabin import SEATS_OF_ALL, VIEWS_OF_ALL, Cabin
 from cabinpose.scene.contact import ContactField
 from cabinpose.synth.cabins import car_dimensions, open_cabin
+from cabinpose.synth.camera import Camera
 from cabinpose.synth.cars import ChangedPreset, is_car_file, is_random_car
 from cabinpose.synth.clutter import DASHBOARD
 from cabinpose.synth.config import CabinScene, RoomScene, SynthConfig
@@ -72,6 +74,9 @@ def preflight(config: SynthConfig, *, frames: int, workers: int = 1) -> tuple[Pl
     plan = Plan(config, 0)
     bodies = {who: plan.subjects.body(who)[0] for who in (*config.people.own, *known.values())}
     if isinstance(scene, RoomScene):
+        for name in config.camera.weights if config.camera.views != Camera().views else ():
+            if name not in ROOM_VIEWS:
+                raise unknown_name("view of a room", name, ROOM_VIEWS)
         return ()
     for slot, who in known.items():
         for kind in weights_of(scene.child_seats.get(slot, {}), ()):

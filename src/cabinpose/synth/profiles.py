@@ -331,6 +331,11 @@ class MocapProfile(_Profile):
         return round(self.start_s / self._motion[1])
 
     @property
+    def poses_per_s(self) -> float:
+        """How many poses a second of the recording has, 1/s: of one slower than `rate_hz` each of its own."""
+        return min(self.rate_hz, 1.0 / self._motion[1])
+
+    @property
     def _step(self) -> float:
         return max(1.0 / (self.rate_hz * self._motion[1]), 1.0)
 

@@ -52,7 +52,7 @@ class SequenceDraw(NamedTuple):
         profile = scene.profile_of(slot)
         if not isinstance(profile, MocapProfile):
             return self.first
-        return round((self.first / self.sequence.rate_hz + time_s) * profile.rate_hz)
+        return round((self.first / self.sequence.rate_hz + time_s) * profile.poses_per_s)
 
 
 def plan_tracks(cast: Cast, posing: Posing, draw: SequenceDraw, attempts: Attempts) -> dict[str, Track] | None:
