@@ -13,6 +13,7 @@ from cabinpose.scene.sensor import (
     SENSORS,
     EmpiricalNoise,
     GeometryBuffers,
+    NoiseModel,
     PhysicalNoise,
     Sensor,
     StructuredLightNoise,
@@ -226,8 +227,10 @@ def test_the_median_over_frames_is_that_of_the_valid_ones() -> None:
     np.testing.assert_array_equal(np.argwhere(np.isnan(result)), [[1, 1]])
 
 
-def test_a_sensor_delivers_filtered_depth() -> None:
+@pytest.mark.parametrize("noise", [PhysicalNoise(), EmpiricalNoise(), StructuredLightNoise()])
+def test_a_sensor_delivers_filtered_depth(noise: NoiseModel) -> None:
     plain, filtered = (small_sensor(spatial_filter=kind) for kind in ("none", "median"))
     buffers = wall(plain, 1.0)
-    depths = [simulate(buffers, s, PhysicalNoise(), rng=generator(3, 3)).depth_m for s in (plain, filtered)]
+    depths = [simulate(buffers, s, noise, rng=generator(3, 3)).depth_m for s in (plain, filtered)]
+    assert not np.array_equal(*depths, equal_nan=True)
     np.testing.assert_array_equal(smoothed(depths[0], filtered), depths[1])

@@ -14,6 +14,7 @@ import cabinpose
 from cabinpose.core.errors import ConfigError, SceneError
 from cabinpose.scene.body import DOF_INDEX, BodyModel, Phenotype
 from cabinpose.scene.cabin import SeatSetting
+from cabinpose.scene.sensor import SENSORS
 from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.exact import exact_config, exact_scene, without_defaults
 from cabinpose.synth.frame_maker import FrameMaker
@@ -190,6 +191,13 @@ def test_a_scene_written_out_gives_the_same_bytes(tmp_path: Path) -> None:
         assert not np.array_equal(one["depth"], noisy["depth"], equal_nan=True)
         met.update([one["car"], *filter(None, one["subject"])])
     assert {"C0000", "anna"} <= set(met)
+
+
+def test_a_scene_written_out_has_no_filter_over_time() -> None:
+    (scene,) = scenes(config({"occupancy": {"driver": 1.0}}), range(1))
+    drawn = config({"sequence": {}}, camera={"sensor": {"preset": "evk75123", "temporal_median": 5}})
+    told = yaml.safe_load(yaml.safe_dump(without_defaults(exact_scene(drawn, scene))))
+    assert SynthConfig.parse(told).camera.sensor_model == SENSORS["evk75123"]
 
 
 def _written_out(made: FrameMaker, index: int) -> tuple[set[str], dict[str, Any]]:

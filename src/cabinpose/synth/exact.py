@@ -20,7 +20,8 @@ from cabinpose.synth.streams import frame_rng
 def exact_config(config: SynthConfig, seed: int, index: int) -> SynthConfig:
     """A configuration whose frames all show the scene of frame `index` of a dataset.
 
-    Made with the same seed, its frame `index` has the same bytes as that one; its other frames differ in their noise.
+    Made with the same seed, its frame `index` has the same bytes as that one, but for depth that is a median over time; its other
+    frames differ in their noise.
 
     Parameters
     ----------
@@ -80,6 +81,9 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
     drawn = config.scene if isinstance(config.scene, CabinScene) else CabinScene()
     car = next((car for car in drawn.cars if place_name(car) == scene.place), scene.place)
     camera = {scene.pov: ExactCameraPose(vehicle_from_camera=_rows(scene.world_from_camera))}
+    model = config.camera.sensor_model
+    # Its frames show one moment, not a sequence over which a median could be taken.
+    sensor = model.model_copy(update={"temporal_median": 1}) if model.temporal_median > 1 else config.camera.sensor
     return SynthConfig(
         scene=CabinScene(
             cars=(car,),
@@ -96,7 +100,7 @@ def exact_scene(config: SynthConfig, scene: Scene) -> SynthConfig:
             attachments=drawn.attachments,
         ),
         people=config.people,
-        camera=config.camera.model_copy(update={"views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),
+        camera=config.camera.model_copy(update={"sensor": sensor, "views": camera, "jitter_m": 0.0, "jitter_deg": 0.0}),
         noise=config.noise,
         images=config.images,
         style=config.style,

@@ -111,9 +111,11 @@ def _frame_yaml(command: ConfigFrame) -> str:
     if manifest.generator_version != cabinpose.__version__:
         print(f"warning: {folder} is of version {manifest.generator_version}: the scene may be another", file=sys.stderr)
     generated = number_at_first(manifest.selection, number)
-    told = without_defaults(exact_config(SynthConfig.parse(manifest.own_config), manifest.seed, generated))
+    config = SynthConfig.parse(manifest.own_config)
+    told = without_defaults(exact_config(config, manifest.seed, generated))
     text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True)
-    return f"# frame {number} of a dataset with seed {manifest.seed}\n{text}"
+    still = ", without temporal_median: of one moment" if config.camera.sensor_model.temporal_median > 1 else ""
+    return f"# frame {number} of a dataset with seed {manifest.seed}{still}\n{text}"
 
 
 def _write(text: str, file: Path | None) -> None:

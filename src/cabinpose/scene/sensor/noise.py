@@ -87,8 +87,10 @@ class CameraNoise(BaseModel, ABC):
     ) -> SensorFrame:
         """One frame of a camera, before effects of packages and its own filters; see `simulate` of the package."""
 
-    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:
-        """What the camera itself takes out of a frame in the end, in place."""
+    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:  # noqa: ARG002
+        """What the camera itself does to a frame in the end, in place: it smooths the depth as the sensor does."""
+        if sensor.spatial_filter != "none":
+            frame.depth_m[:] = smoothed(frame.depth_m, sensor)
 
 
 class EdgeRule(CameraNoise):
@@ -113,12 +115,11 @@ class EdgeRule(CameraNoise):
         default=False, description="Pixels with too few neighbours at their delivered depth are invalid, as cameras' filters do."
     )
 
-    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:  # noqa: ARG002
-        """Takes edges out, where they are to be, and smooths the depth as the sensor does."""
+    def filter(self, frame: SensorFrame, buffers: GeometryBuffers, sensor: Sensor) -> None:
+        """Takes edges out, where they are to be, before anything else."""
         if self.remove_edges:
             invalidate(frame, edge_pixels(frame.depth_m, self))
-        if sensor.spatial_filter != "none":
-            frame.depth_m[:] = smoothed(frame.depth_m, sensor)
+        super().filter(frame, buffers, sensor)
 
 
 def edge_pixels(depth: Floats32, rule: EdgeRule) -> Bools:
