@@ -206,6 +206,8 @@ def test_impossible_combinations_are_left_out(tmp_path: Path) -> None:
     assert dataset.frame.values.tolist() == [1, 2]
     assert (report.frames, dataset.attrs["skipped_frames"]) == (2, 1)
     assert report.rejections["self"] > 0
+    resumed = generate(config, 3, tmp_path / "grid", workers=1, existing="resume")
+    assert (resumed.frames, resumed.frames_total) == (0, 2)
 
 
 def test_more_frames_than_combinations_are_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from cabinpose.app.cli import main
+from cabinpose.core import Camera as Lens
 from cabinpose.core import ConfigError, Matrix, apply, invert
 from cabinpose.scene.cabin import PRESETS, PRODUCT_VIEWS, VIEWS_OF_ALL, Cabin, build_cabin
 from cabinpose.scene.contact import ContactField, first_crossings
@@ -85,11 +86,24 @@ def test_seats_are_seen_as_lines_to_them_are_free() -> None:
             head = apply(back, np.array([[0.02, y, 0.66] for y in (-0.06, 0.06)]))
             in_camera = apply(invert(place), head)
             free = first_crossings(np.repeat(place[None, :3, 3], 2, axis=0), head, triangles)[1] < 0
-            inside = SENSOR.camera.contains(SENSOR.camera.project(in_camera)) & (np.linalg.norm(in_camera, axis=1) < 2.0)
+            inside = SENSOR.camera.contains(SENSOR.camera.project(in_camera)) & (in_camera[:, 2] < 2.0)
             if report.seats[slot] == 1.0:
                 assert (free & inside).all()
             if report.seats[slot] == 0.0:
                 assert not (free & inside).any()
+
+
+def test_range_is_depth_as_in_the_sensor() -> None:
+    """Of a camera that looks straight down nobody is deeper than the lowest H-point, though the rear seats are farther away."""
+    cabin = built("van")
+    eye, lens = (-0.9, 0.0, 1.3), Lens.from_fov(160, 160, np.radians(140.0))
+    lowest = min(seat.h_point(seat.default)[2] for seat in cabin.seats.values())
+    near, far = (
+        judged(cabin, eye, (-0.9001, 0.0, 0.0), camera=lens, field_radius_px=None, range_m=(0.1, far))
+        for far in (eye[2] - lowest, 9.0)
+    )
+    assert near.seats == far.seats
+    assert near.seats["rear_left"] > 0.5
 
 
 def test_the_share_of_pixels_is_that_of_the_whole_image() -> None:

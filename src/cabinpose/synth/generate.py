@@ -144,7 +144,12 @@ def generate(
     total = FrameReport()
     with create_dataset(out, manifest, overwrite=existing == "overwrite", resume=existing == "resume") as dataset:
         plans = dataset.missing()
-        before = sum(plan.frames for plan in dataset.complete())
+        done = dataset.complete()
+        before = sum(plan.frames for plan in done)
+        if done and config.may_skip:
+            from cabinpose.store import open_dataset  # noqa: PLC0415 - xarray, where frames may have been left out
+
+            before = open_dataset(out, missing="ignore").sizes["frame"]
         tell(Progress(before, frames, 0, {}, "preparing cars and people"))
         folder = out.resolve()
         if isinstance(workers, str):

@@ -84,20 +84,20 @@ def judge_place(
     field = lens_maps(small, 1).field
     valid = float(np.isfinite(depth)[field].mean()) if field.any() else 0.0
     through = rendered.labels == LABEL_ID["glass"]
-    range_m = small.camera.range_from_depth(rendered.depth_clean)
-    beyond = (rendered.depth_clean > 0) & ~through & ((range_m < sensor.range_m[0]) | (range_m > sensor.range_m[1]))
-    causes = {"glass": through, "nothing": rendered.depth_clean == 0, f"what is beyond range_m {list(sensor.range_m)}": beyond}
+    near, far = sensor.range_m  # of depth, as the sensor takes it
+    clean = rendered.depth_clean
+    beyond = (clean > 0) & ~through & ((clean < near) | (clean > far))
+    causes = {"glass": through, "nothing": clean == 0, f"what is beyond range_m {list(sensor.range_m)}": beyond}
     lost = {what: float(pixels[field].mean()) for what, pixels in causes.items()} if field.any() else {}
 
     backs = [seat.vehicle_from_back(cabin.setting(settings, slot)) for slot, seat in cabin.seats.items()]
     places = apply(camera_from_vehicle, np.concatenate([apply(back, _OCCUPANT) for back in backs]))
-    distance = np.linalg.norm(places, axis=1)
     uv = small.camera.project(places)
     looked_at = small.camera.contains(uv)
     u, v = np.rint(np.where(looked_at[:, None], uv, 0.0)).astype(int).T
-    surface_z, label = rendered.depth_clean[v, u], rendered.labels[v, u]
+    surface_z, label = clean[v, u], rendered.labels[v, u]
     hidden = (surface_z > 0) & (surface_z < places[:, 2] - _BEHIND_M)
-    seen = looked_at & ~hidden & (distance >= sensor.range_m[0]) & (distance <= sensor.range_m[1])
+    seen = looked_at & ~hidden & (places[:, 2] >= near) & (places[:, 2] <= far)
     seats = dict(zip(cabin.seats, seen.reshape(len(backs), -1).mean(axis=1).tolist(), strict=True))
     behind_glass = looked_at & hidden & (label == LABEL_ID["glass"])
     report = PlaceReport(cabin.name, view, valid, seats, ())

@@ -91,8 +91,7 @@ def _seen(cabin: Cabin, name: str, sensor: Sensor, scenes: list[Scene]) -> ViewR
         rendered = rasteriser.render(
             scene.surface(), camera_from_vehicle, closed=scene.closed, joints=joints, instances=instances
         )
-        distance = np.linalg.norm(joints, axis=-1)
-        in_range = (distance >= sensor.range_m[0]) & (distance <= sensor.range_m[1])
+        in_range = (joints[..., 2] >= sensor.range_m[0]) & (joints[..., 2] <= sensor.range_m[1])  # of depth, as the sensor has it
         rows += list(np.logical_and(rendered.visibility == Visibility.VISIBLE, in_range))
         slots += [person.slot for person in scene.people]
     seen = np.array(rows)
