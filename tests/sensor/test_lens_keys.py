@@ -71,3 +71,12 @@ def test_what_is_taken_is_told_and_stays_when_it_is_written_down() -> None:
 def test_structured_light_has_no_modulation() -> None:
     camera = {"width": 240, "height": 180, "fov_deg": 60}
     assert Sensor.model_validate({"principle": "structured_light", "camera": camera}).frequencies_hz == ()
+
+
+def test_what_is_left_out_is_a_monstars_but_for_light_and_image_circle() -> None:
+    monstar = OWN_SENSORS["pico_monstar_105/4"]
+    own = Sensor(camera=monstar.camera)
+    others = {name: (getattr(own, name), getattr(monstar, name)) for name in Sensor.model_fields}
+    others = {name: both for name, both in others.items() if both[0] != both[1]}
+    assert others.pop("name")
+    assert others == {"illumination_exponent": (0.0, -2.0), "field_radius_px": (None, 188.0)}  # as the page says

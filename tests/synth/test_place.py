@@ -219,4 +219,4 @@ def test_config_check_and_synth_tell(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main(["synth", "--config", str(file), "--frames", "1", "--out", str(tmp_path / "made")]) == 0
     _, err = capsys.readouterr()
     assert err.count("view 'feet'") == 1
-    assert "not given, taken as in a Pico Monstar: range_m 0.3 2, " in err
+    assert "not given, taken as in a Pico Monstar with even light: range_m 0.3 2, " in err

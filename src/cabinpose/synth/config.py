@@ -332,7 +332,9 @@ class Limits(Model):
     """When the search for a valid scene ends."""
 
     poses_per_person: int = Field(8, ge=1, description="Poses tried for a person before the whole scene is drawn anew.")
-    scenes_per_frame: int = Field(60, ge=1, description="Scenes drawn for a frame before the run ends with an error.")
+    scenes_per_frame: int = Field(
+        60, ge=1, description="Scenes drawn for a frame before the run ends with an error; for a sequence always 100."
+    )
 
 
 class SynthConfig(Model):

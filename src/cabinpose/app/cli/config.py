@@ -154,7 +154,7 @@ def _check(command: ConfigCheck, config: SynthConfig) -> None:
     rows += [
         ("scene", in_cars if scene.kind == "cabin" else f"room, {scene.rooms} of them"),
         ("camera", f"{_sensor_words(config.camera.sensor)}, views {', '.join(config.camera.views)}"),
-        *([("not given", f"{config.camera.taken} (as a Pico Monstar)")] if config.camera.taken else ()),
+        *([("not given", f"{config.camera.taken} (as a Pico Monstar with even light)")] if config.camera.taken else ()),
         *((f"view {p.view}", f"{Path(p.car).name}: {100 * p.valid:.0f} % of the pixels valid, {_seats(p)}") for p in places),
         ("people", ", ".join(f"{count} {kind}" for count, kind in kinds if count)),
         ("noise", config.noise.kind),

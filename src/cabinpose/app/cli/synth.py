@@ -66,7 +66,7 @@ def run(command: Synth) -> None:
     config = SynthConfig.load(file, (*changes, *styled))
     frames = config.frames_or_all(command.frames)
     if config.camera.taken:
-        print(f"camera.sensor: not given, taken as in a Pico Monstar: {config.camera.taken}", file=sys.stderr)
+        print(f"camera.sensor: not given, taken as in a Pico Monstar with even light: {config.camera.taken}", file=sys.stderr)
     judged = "poses" if config.scene.sequence is None else "poses and ways"
     with progress(frames, "frames", start=_frames_there(command)) as report:
         warn_at = _FEW_POSES

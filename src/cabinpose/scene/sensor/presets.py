@@ -30,7 +30,10 @@ _TOLD_ELSEWHERE = ("name", "principle", "baseline_m", "native_scale")  # and wha
 
 
 class Sensor(BaseModel):
-    """A depth camera: lens, timing, and the figures of its pixels. What is left out is as in a Pico Monstar's use case 4."""
+    """A depth camera: lens, timing, and the figures of its pixels.
+
+    What is left out is as in a Pico Monstar's use case 4, but for even light and no image circle.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
