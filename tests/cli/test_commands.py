@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -220,6 +221,31 @@ def test_export_of_a_split(run: Run, dataset_folder: Path, tmp_path: Path) -> No
     code, _, err = run("export", "ply", "--out", out, dataset_folder, "--splits", splits, "--split", "val")
     assert code == 2
     assert "known: test, train" in err
+
+
+def test_an_export_replaces_no_dataset(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(dataset_folder, tmp_path / "data" / "my")
+    (tmp_path / "data" / "thesis.txt").write_text("x")
+    held = sorted((tmp_path / "data").rglob("*"))
+    for source in (data, dataset_folder):
+        code, _, err = run("export", "coco", source, "--out", tmp_path / "data", "--overwrite")
+        assert (code, "never replaces" in err, "hint: " in err) == (2, True, True)
+    deep = shutil.copytree(dataset_folder, tmp_path / "deep" / "a" / "b")
+    assert run("export", "coco", deep, "--out", tmp_path / "deep", "--overwrite").code == 2
+    assert sorted((tmp_path / "data").rglob("*")) == held
+
+
+def test_folds_are_those_of_the_whole_dataset(run: Run, dataset_folder: Path, tmp_path: Path) -> None:
+    """Of coupe, sedan and van the second of two folds is sedan; of sedan alone the first would be."""
+    splits, words = tmp_path / "splits.yaml", ("--select", "car=sedan", "--where", "frame < 5")
+    splits.write_text("a: {sequence: [0], car/2: [2]}\nb: {sequence: [0], car/2: [1]}\n")
+    code, _, err = run("export", "coco", dataset_folder, "--out", tmp_path / "all", "--splits", splits, *words)
+    assert (code, "no frame of split 'b' has all that is selected" in err) == (2, True)
+    out = tmp_path / "one"
+    assert run("export", "coco", dataset_folder, "--out", out, "--splits", splits, "--split", "a", *words).code == 0
+    assert sorted(path.name for path in out.rglob("*.png")) == ["00000000.png", "00000003.png"]
+    code, _, err = run("info", dataset_folder, "--select", "car=sedan", "car=van")
+    assert (code, err.splitlines()[-2:]) == (2, ["error: --select: car is named twice", "hint: write car=sedan,van"])
 
 
 def test_synth_refuses_before_any_work(run: Run, dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

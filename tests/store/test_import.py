@@ -157,6 +157,9 @@ def test_what_is_there_is_kept(dataset_folder: Path, png_json: Path, tmp_path: P
     assert open_dataset(out).attrs["generator"] == "spheres"
     import_source(source, out, overwrite=True)
     assert open_dataset(out).attrs["generator"] == "import png-json"
+    (out / "mine.labels.jsonl").write_text("x")
+    with pytest.raises(DatasetError, match=r"holds mine\.labels\.jsonl, which is no part of the dataset"):
+        import_source(source, out, overwrite=True)
     inside = copy_of(png_json, out / "source")
     with pytest.raises(DatasetError, match="holds the source"):
         import_source(open_source(inside, "png-json"), out, overwrite=True)

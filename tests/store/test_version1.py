@@ -119,6 +119,14 @@ def test_it_is_upgraded_once(old: Path, run: Callable[..., Any]) -> None:
     assert files_of(old) == held
 
 
+def test_what_is_no_part_of_it_is_not_lost(old: Path) -> None:
+    (old / "mine.labels.jsonl").write_text("x")
+    held = files_of(old)
+    with pytest.raises(DatasetError, match=r"holds mine\.labels\.jsonl, which is no part of the dataset"):
+        upgrade_dataset(old)
+    assert files_of(old) == held
+
+
 def test_an_upgrade_that_ends_early_leaves_it_as_it_was(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held, done, append = files_of(old), [], PartWriter.append
 

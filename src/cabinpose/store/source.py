@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -90,13 +91,13 @@ def import_source(source: Source, out: Path | str, *, overwrite: bool = False, r
     Raises
     ------
     DatasetError
-        Where `out` exists and is no dataset to overwrite, where a frame cannot be read, or where the disk is full; then nothing
-        is left behind, and what was in `out` stays.
+        Where `out` exists and is no dataset to overwrite or holds more than that, where a frame cannot be read, or where the disk
+        is full; then nothing is left behind, and what was in `out` stays.
     """
     folder = Path(out)
-    check_new_dataset(folder, overwrite=overwrite)
     if source.path.resolve().is_relative_to(folder.resolve()):
         raise DatasetError(f"{folder} holds the source, {source.path}", hint="give another folder with --out")
+    check_new_dataset(folder, overwrite=overwrite)
     with new_folder(folder, overwrite=overwrite) as temporary:
         fill_dataset(source, temporary, folder, report)
     return folder
@@ -134,6 +135,17 @@ def check_new_dataset(folder: Path, *, overwrite: bool) -> None:
         raise DatasetError(f"{folder} exists and is no dataset", hint="give a new or empty folder with --out")
     if not overwrite:
         raise DatasetError(f"{folder} already holds a dataset", hint="--overwrite replaces it, or give another folder with --out")
+    refuse_others(folder)
+
+
+def refuse_others(folder: Path) -> None:
+    """Raise `DatasetError` where a folder that is about to be replaced holds what is no part of its dataset, such as labels."""
+    own = (MANIFEST_NAME, "part-*.zarr", ".part-*.zarr.*")  # with the parts that a killed process left
+    for name in sorted(each.name for each in folder.iterdir()):
+        if not any(fnmatchcase(name, pattern) for pattern in own):
+            raise DatasetError(
+                f"{folder} holds {name}, which is no part of the dataset and would be lost", hint="move it away first"
+            )
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from cabinpose.store.dataset import write_manifest
 from cabinpose.store.part import PartWriter
 from cabinpose.store.part_facts import check_parts
 from cabinpose.store.schema import Manifest, dataset_id, read_manifest
-from cabinpose.store.source import Report, blank_frame, new_folder, visible_boxes
+from cabinpose.store.source import Report, blank_frame, new_folder, refuse_others, visible_boxes
 from cabinpose.store.variables import SCHEMA_VERSION, VARIABLE, VARIABLES
 
 if TYPE_CHECKING:
@@ -106,7 +106,8 @@ def upgrade_dataset(folder: Path | str, *, report: Report | None = None) -> Mani
     Raises
     ------
     DatasetError
-        For a dataset that is damaged or of today's version, and where the disk is full; then it stays as it is.
+        For a dataset that is damaged or of today's version, where its folder holds anything else, and where the disk is full;
+        then it stays as it is.
     """
     from cabinpose.store.lazy import dataset_of_parts  # noqa: PLC0415 - xarray, which writers do without
 
@@ -114,6 +115,7 @@ def upgrade_dataset(folder: Path | str, *, report: Report | None = None) -> Mani
     old = read_manifest(path)
     if old.schema_version == SCHEMA_VERSION:
         raise DatasetError(f"{path} is of version {SCHEMA_VERSION} already", hint="there is nothing to upgrade")
+    refuse_others(path)
     plans, done, after = old.parts_in(path), 0, None
     if not plans:
         raise DatasetError(f"{path} has no complete part yet", hint="generate it with `cabinpose synth --resume`")

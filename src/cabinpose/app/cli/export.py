@@ -14,12 +14,11 @@ from cabinpose.app.cli.arguments import DatasetArgument, Maybe, PrintsJson, Sele
 from cabinpose.app.cli.formats import choices, modern, names_of
 from cabinpose.app.cli.output import listed, print_json, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, DatasetError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cabinpose.store import Splits
     from cabinpose.store.convert import DatasetFormat
 
 
@@ -92,8 +91,7 @@ def _export_dataset(command: ExportDataset) -> None:
             hint=f"recordings go to {', '.join(names_of('write', 'recordings'))}",
         )
     form: DatasetFormat = command.form
-    dataset, splits = _frames(command, form)
-    parts = form.parts(dataset, splits)
+    parts, chosen = _parts(command, form)
     counts = {name: part.sizes["frame"] for name, part in parts.items()}
     frames = sum(counts.values())
     with progress(frames, "frames") as report:
@@ -103,22 +101,32 @@ def _export_dataset(command: ExportDataset) -> None:
         print_json({"out": str(folder), "format": command.format, "frames": frames} | by_split)
         return
     print(f"{folder}: {frames} frames as {command.format}" + (f": {listed(counts)}" if by_split else ""))
-    left = dataset.sizes["frame"] - frames
+    left = chosen - frames
     if left and command.split is None:
         print(f"{left} frames belong to no split and are left out", file=sys.stderr)
 
 
-def _frames(command: ExportDataset, form: DatasetFormat) -> tuple[xr.Dataset, Splits]:
-    """The frames to export, and the splits to write them by: one that is named or all, where the format can tell splits apart."""
+def _parts(command: ExportDataset, form: DatasetFormat) -> tuple[dict[str, xr.Dataset], int]:
+    """The frames to export, and how many are chosen: by split, one that is named or all, where the format tells splits apart.
+
+    Splits are of the whole dataset, so that its folds are the same ones whatever else is chosen.
+    """
+    import numpy as np
+
     from cabinpose.app.cli.selection import frames_with, opened, selected, selection
     from cabinpose.store import read_splits
     from cabinpose.store.convert import CHOSEN_BY
 
     dataset = opened(command.dataset, command.labels).assign_attrs({CHOSEN_BY: _choice(command)})
     if command.splits is None or not form.tells_splits:
-        return selected(dataset, command), {}
-    splits = read_splits(command.splits, None if command.split is None else [command.split])
-    return frames_with(dataset, [selection(command.select)], command.where), splits
+        some = selected(dataset, command)
+        return form.parts(some, {}), some.sizes["frame"]
+    parts = form.parts(dataset, read_splits(command.splits, None if command.split is None else [command.split]))
+    chosen = frames_with(dataset, [selection(command.select)], command.where)["frame"]
+    parts = {name: part.isel(frame=np.flatnonzero(np.isin(part["frame"], chosen))) for name, part in parts.items()}
+    if empty := [name for name, part in parts.items() if not part.sizes["frame"]]:
+        raise DatasetError(f"no frame of split '{empty[0]}' has all that is selected", hint="select more, or give --split NAME")
+    return parts, len(chosen)
 
 
 def _choice(command: ExportDataset) -> str:

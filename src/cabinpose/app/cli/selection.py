@@ -82,6 +82,8 @@ def selection(words: Sequence[str]) -> Selection:
         coordinate, folds, _ = name.partition("/")
         if coordinate not in COORDINATES:
             raise unknown_name("coordinate", coordinate, COORDINATES)
+        if name in found:
+            raise ConfigError(f"--select: {name} is named twice", hint=f"write {name}={','.join(map(str, found[name]))},{values}")
         found[name] = chosen = tuple(values.split(","))
         if coordinate == "sequence" or folds:
             if not all(value.isdecimal() for value in chosen):

@@ -58,8 +58,8 @@ def export_dataset(
     ConfigError
         For an unknown format, or options or splits that it does not have.
     DatasetError
-        Where `out` exists and `overwrite` is not given, where the format cannot hold the dataset, or where the disk is full;
-        then nothing is left behind.
+        Where `out` exists and `overwrite` is not given or it holds a dataset, where the format cannot hold the dataset, or where
+        the disk is full; then nothing is left behind.
     """
     form = format_of(name, DatasetFormat, "write")
     chosen = made_options(name, form.options("write"), options)
@@ -76,7 +76,9 @@ def write_parts(
     report: Report | None = None,
 ) -> Path:
     """Write what `form.parts` gave; everything else as in `export_dataset`."""
-    if (folder / MANIFEST_NAME).exists():
+    read = (Path(part.encoding["source"]).resolve() for part in parts.values() if "source" in part.encoding)
+    there = [*folder.glob(MANIFEST_NAME), *folder.glob(f"*/{MANIFEST_NAME}")]
+    if there or any(each.is_relative_to(folder.resolve()) for each in read):
         raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
     with new_folder(folder, overwrite=overwrite) as temporary:
         temporary.mkdir(parents=True)

@@ -114,7 +114,7 @@ class TicamFormat(DatasetFormat):
     def read(self, path: Path, options: SequenceOptions) -> Source:
         """The frames of `Train_images` or `Test_images`, or of a folder that holds one of the two.
 
-        `labels`, `instance`, `things` and `child` are there where the labels lie beside the images. Raises `DatasetError` for
+        `labels`, `instance`, `things` and `occupancy` are there where the labels lie beside the images. Raises `DatasetError` for
         folders that lack something, frames without one of their images, and images of another size.
         """
         images, labels = _folders(path)
