@@ -290,6 +290,18 @@ def test_itop(spheres: ModuleType, tmp_path: Path) -> None:
         assert labels["is_valid"][...].all()
 
 
+def test_itop_numbers_people_alike_in_every_part(spheres: ModuleType, tmp_path: Path) -> None:
+    dataset = open_dataset(room(spheres, tmp_path / "room"))
+    out = export_dataset(dataset.isel(frame=[2]), "itop", tmp_path / "out")
+    with h5py.File(out / "labels.h5") as labels:
+        assert labels["id"][...].tolist() == [b"02_00000"]
+    assert json.loads((out / "subjects.json").read_text()) == {"00": "S01", "01": "S02", "02": "S03"}
+    names = np.array([[f"P{i:03d}"] for i in range(101)])
+    crowd = dataset.isel(frame=[0] * 101).assign_coords(subject=(("frame", "person"), names)).drop_encoding()
+    with h5py.File(export_dataset(crowd, "itop", tmp_path / "crowd") / "labels.h5") as labels:
+        assert labels["id"][[0, 100]].tolist() == [b"00_00000", b"100_00100"]
+
+
 def test_itop_takes_its_own_joints(spheres: ModuleType, tmp_path: Path) -> None:
     manifest = spheres.manifest(frames=1, persons=("a",), variables=("depth", "labels", "instance", "itop_joints_3d"))
     stored = {v.name for v in manifest.stored}

@@ -76,6 +76,16 @@ def test_frames_go_by_the_numbers_of_their_names_with_the_amplitudes_beside(tmp_
     np.testing.assert_array_equal(found.camera_k[2].values, K)
 
 
+def test_amplitudes_may_have_8_bits_and_integers_of_32_do_not_wrap(tmp_path: Path) -> None:
+    save(tmp_path / "own" / "depth" / "1.png", MM)
+    save(tmp_path / "own" / "ir" / "1.png", np.full((12, 16), 200, np.uint8))
+    assert set(imported(tmp_path / "own", tmp_path / "out", fov_deg=60.0).amplitude.values.ravel()) == {200}
+    for value, said in ((70000, "from 1250 to 70000"), (-1, "from -1 to 1250")):
+        save(tmp_path / "a.tif", np.where(np.arange(192).reshape(12, 16) == 0, value, 1250).astype(np.int32))
+        with pytest.raises(DatasetError, match=said):
+            imported(tmp_path / "a.tif", tmp_path / "none", fov_deg=60.0)
+
+
 def test_what_is_no_depth_is_invalid(tmp_path: Path) -> None:
     pixels = MM.copy()
     pixels[0, :2] = 0, 65535

@@ -330,6 +330,22 @@ def test_pixels_are_lifted_by_the_image(frames: Frames, tmp_path: Path) -> None:
     assert np.isfinite(found.joints_3d[:, 0].values[seen]).mean() > 0.9
 
 
+@pytest.mark.parametrize("lift", [False, True])
+def test_joints_whose_depth_is_not_known_keep_their_pixels(
+    lift: bool, source: xr.Dataset, frames: Frames, tmp_path: Path
+) -> None:
+    some = np.arange(len(JOINTS)) % 2 == 0
+    xyz = np.where(some[:, None], frames["joints_3d"] + np.float32(0.3), np.nan)  # other than the image says
+    layout = folder_of_pixels(Frames(frames | {"joints_3d": xyz}), tmp_path / "frames", z=True)
+    layout["joints"]["lift"] = lift
+    found = imported(tmp_path / "frames", layout)
+    there = source.visibility[:, 0].values > 0
+    np.testing.assert_allclose(found.joints_2d[:, 0].values[there], source.joints_2d[:, 0].values[there], atol=2e-4)
+    np.testing.assert_allclose(found.joints_3d[:, 0].values[there & some, 2], xyz[:, 0][there & some, 2], atol=1e-5)
+    seen = found.visibility[:, 0].values == Visibility.VISIBLE
+    assert np.isfinite(found.joints_3d[:, 0].values[seen & ~some]).any() == lift
+
+
 def test_itops_joints_are_kept_beside_ours(frames: Frames, tmp_path: Path) -> None:
     layout = folder_of_stacks(frames, tmp_path / "frames")
     xyz = np.random.default_rng(1).uniform((-0.2, -0.2, 1.0), (0.2, 0.2, 2.0), (SEQUENCES * FRAMES, 15, 3))
@@ -463,6 +479,18 @@ def test_files_that_are_missing_or_damaged_are_named(
         imported(folder, laid_pngs[1])
     assert error.value.hint
     assert not (tmp_path / "out").exists()
+
+
+def test_a_state_of_null_is_none(laid_pngs: tuple[Path, Layout], tmp_path: Path) -> None:
+    import shutil
+
+    folder = Path(shutil.copytree(laid_pngs[0], tmp_path / "frames"))
+    path = folder / "S02" / "a02" / "pose" / "2.json"
+    content = json.loads(path.read_text())
+    content["people"][0]["joints"]["rwrist"]["seen"] = None
+    path.write_text(json.dumps(content))
+    states = imported(folder, laid_pngs[1]).visibility[FRAMES + 2, 0].values
+    assert np.flatnonzero(states == Visibility.ABSENT).tolist() == [CABINPOSE.index["rwrist"]]
 
 
 def test_frames_without_a_row_are_empty_and_counted(frames: Frames, tmp_path: Path) -> None:

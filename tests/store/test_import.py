@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 
 from cabinpose.core.errors import ConfigError, DatasetError
-from cabinpose.store import open_dataset, read_manifest
+from cabinpose.store import dataset_skeleton, open_dataset, read_manifest
 from cabinpose.store.convert import FORMATS, DatasetFormat, ImportOptions, export_dataset, open_source
 from cabinpose.store.source import Source, import_source
 
@@ -57,6 +57,21 @@ def test_png_json_round_trip(dataset_folder: Path, png_json: Path, tmp_path: Pat
     again = export_dataset(after, "png-json", tmp_path / "again")
     for file in [*png_json.rglob("*.png"), *png_json.rglob("pose/*.json"), png_json / "labels.json"]:
         assert (again / file.relative_to(png_json)).read_bytes() == file.read_bytes()
+
+
+def test_who_has_no_joints_and_whose_joints_they_are_stay(spheres: ModuleType, tmp_path: Path) -> None:
+    manifest = spheres.manifest(frames=1, joint_definition="anatomy", variables=())
+    stored = {variable.name for variable in manifest.stored}
+    frame = {name: value for name, value in spheres.frame(0, manifest).items() if name in stored}
+    frame["visibility"], frame["subject"], frame["action"] = frame["visibility"] * 0, ["S02", *[""] * 4], ["sleep", *[""] * 4]
+    frame["joints_3d"], frame["joints_2d"] = (np.full_like(frame[name], np.nan) for name in ("joints_3d", "joints_2d"))
+    before = open_dataset(import_source(Source(tmp_path / "none", manifest, lambda: iter([frame])), tmp_path / "before"))
+    after = imported(export_dataset(before, "png-json", tmp_path / "out"), "png-json", tmp_path / "after")
+    assert after.attrs["joint_definition"] == "anatomy"
+    assert (after.subject.values[0, 0], after.action.values[0, 0]) == ("S02", "sleep")
+    theirs = before.assign_attrs(generator="import itop", joint_definition="")
+    back = imported(export_dataset(theirs, "png-json", tmp_path / "theirs"), "png-json", tmp_path / "back")
+    assert dataset_skeleton(back).definition == dataset_skeleton(theirs).definition
 
 
 def test_an_import_is_deterministic(png_json: Path, tmp_path: Path) -> None:

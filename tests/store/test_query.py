@@ -31,6 +31,7 @@ def columns() -> dict[str, NDArray[Any]]:
         "action": np.where(there, rng.choice(ACTIONS, (200, 2)), ""),
         "person": np.where(there, SLOTS, ""),
     }
+    people["age"] = np.where(there, rng.integers(0, 4, (200, 2)), np.nan)
     errors = np.where(rng.random(200) < 0.1, np.nan, rng.exponential(4.0, 200))
     return {"frame": np.arange(200), "car": rng.choice(CARS, 200), "error_cm": errors, "people": there.sum(1), **people}
 
@@ -58,6 +59,10 @@ def brute(columns: Mapping[str, NDArray[Any]], words: str) -> list[bool]:
         "frame < 17",
         "people == 2",
         "error_cm > -1",
+        "age < people",
+        "people < age",
+        "0 < people < age <= 2",
+        "age < 1 and people == 2",
         "frame in [3, 5]",
     ],
 )
@@ -78,6 +83,12 @@ def test_conditions_hold_as_python_says(columns: dict[str, NDArray[Any]], words:
 )
 def test_a_negation_means_nobody(columns: dict[str, NDArray[Any]], words: str, of: str) -> None:
     assert (frames_where(columns, words) == ~np.array(brute(columns, of))).all()
+
+
+def test_who_has_no_joints_is_there_by_their_name(dataset_folder: Path) -> None:
+    dataset = open_dataset(dataset_folder)
+    columns = query_columns(dataset.assign(visibility=dataset["visibility"] * np.uint8(0)))
+    assert columns["people"].tolist() == query_columns(dataset)["people"].tolist()
 
 
 def test_and_asks_for_the_same_person(columns: dict[str, NDArray[Any]]) -> None:

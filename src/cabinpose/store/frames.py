@@ -151,9 +151,10 @@ def _cloud(part: xr.Dataset) -> NDArray[np.float32]:
     return points
 
 
-def people(frame: xr.Dataset) -> list[PersonInFrame]:
-    """Everybody in a frame: who has at least one joint that is not absent."""
+def people(frame: xr.Dataset, *, named: bool = False) -> list[PersonInFrame]:
+    """Everybody in a frame: who has at least one joint that is not absent; named: and who has a subject without joints."""
     visibility = frame["visibility"].values
+    there = (visibility != Visibility.ABSENT).any(axis=1) | (named & (frame["subject"].values != ""))
     return [
         PersonInFrame(
             position=i,
@@ -164,7 +165,7 @@ def people(frame: xr.Dataset) -> list[PersonInFrame]:
             joints_2d=frame["joints_2d"].values[i],
             visibility=visibility[i],
         )
-        for i in np.flatnonzero((visibility != Visibility.ABSENT).any(axis=1)).tolist()
+        for i in np.flatnonzero(there).tolist()
     ]
 
 

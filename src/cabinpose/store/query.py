@@ -13,7 +13,8 @@ from __future__ import annotations
 import ast
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -41,7 +42,7 @@ def query_columns(dataset: xr.Dataset) -> dict[str, NDArray[Any]]:
     frames, people = dataset.sizes["frame"], dataset.sizes["person"]
     shapes = (("frame",), ("frame", "person"))
     columns = {str(name): values.values for name, values in dataset.coords.items() if values.dims in shapes}
-    there = (dataset["visibility"].values > Visibility.ABSENT).any(axis=2)
+    there = (dataset["visibility"].values > Visibility.ABSENT).any(axis=2) | (dataset["subject"].values != "")
     if "pov" in columns:
         columns["view"] = columns["pov"]
     columns["person"] = np.where(there, np.broadcast_to(dataset["person"].values.astype(str), (frames, people)), "")
@@ -93,6 +94,13 @@ def _by_frame(holds: _Holds) -> NDArray[np.bool_]:
     return np.asarray(holds.any(axis=1) if holds.ndim == 2 else holds)
 
 
+def _aligned(parts: Iterable[Any]) -> list[NDArray[Any]]:
+    """What is of frames as (F, 1) where anything is of people, (F, P); numbers stay."""
+    arrays = [np.asarray(part) for part in parts]
+    several = any(array.ndim == 2 for array in arrays)
+    return [array[:, None] if several and array.ndim == 1 else array for array in arrays]
+
+
 def _values(column: NDArray[Any]) -> list[Any]:
     return sorted({value for value in column.ravel().tolist() if value != "" and value == value})  # without NaN
 
@@ -106,20 +114,14 @@ class _Walk:
     def holds(self, node: ast.expr) -> _Holds:
         """Whether a part of the condition holds."""
         if isinstance(node, ast.BoolOp):
-            parts = [self.holds(value) for value in node.values]
-            if any(part.ndim == 2 for part in parts):
-                parts = [part if part.ndim == 2 else part[:, None] for part in parts]
             together = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
-            held = parts[0]
-            for part in parts[1:]:
-                held = together(held, part)
-            return held
+            return reduce(together, _aligned(self.holds(value) for value in node.values))
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             return ~_by_frame(self.holds(node.operand))
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
             pairs = zip(sides, node.ops, sides[1:], strict=False)
-            return np.logical_and.reduce([self._compared(left, op, right) for left, op, right in pairs])
+            return reduce(np.logical_and, _aligned(self._compared(left, op, right) for left, op, right in pairs))
         raise self._no_condition(node)
 
     def _compared(self, left: ast.expr, op: ast.cmpop, right: ast.expr) -> _Holds:
@@ -139,7 +141,7 @@ class _Walk:
         for side, values in zip((left, right), sides, strict=True):
             if isinstance(values, np.ndarray) and values.dtype.kind not in "iuf":
                 raise ConfigError(f"{ast.unparse(side)} is text, which is neither more nor less", hint=self._of(side))
-        return np.asarray(_ORDER[type(op)](*sides))
+        return np.asarray(_ORDER[type(op)](*_aligned(sides)))
 
     def _equal(self, name: ast.expr, value: ast.expr) -> _Holds:
         if not isinstance(name, ast.Name):

@@ -92,10 +92,11 @@ DEPTH_IMAGES = DepthImageFormat()
 
 
 class _Image(NamedTuple):
-    """One image of a file. stacked: its number in a stack."""
+    """One image of a file. stacked: its number in a stack · holds: depth, or amplitude, which may have 8 bits."""
 
     path: Path
     stacked: int | None = None
+    holds: str = "depth"
 
     def pixels(self) -> NDArray[Any]:
         """(H, W) uint16, or another kind of integers or floats. Raises `DatasetError`."""
@@ -103,9 +104,9 @@ class _Image(NamedTuple):
             stack = npy_array(self.path)
             return stack if self.stacked is None else stack[self.stacked]
         image = read_image(self.path, floats=True)
-        if image.ndim != 2 or image.dtype == np.uint8:
+        if image.ndim != 2 or (image.dtype == np.uint8 and self.holds == "depth"):
             kind = "colours" if image.ndim == 3 else "8 bits of grey"
-            raise DatasetError(f"{self.path} has {kind}, which is no depth", hint=f"save the depth as {_FORMATS}")
+            raise DatasetError(f"{self.path} has {kind}, which is no {self.holds}", hint=f"save the {self.holds} as {_FORMATS}")
         return image
 
 
@@ -160,7 +161,7 @@ def _amplitudes(path: Path, images: Sequence[_Image], options: DepthImageOptions
         file = next((f for suffix in DEPTH_SUFFIXES if (f := folder / f"{image.path.stem}{suffix}").exists()), None)
         if file is None:
             raise DatasetError(f"{folder} has no image {image.path.stem}", hint="amplitude images are named as the depth images")
-        found.append(_Image(file, image.stacked))
+        found.append(_Image(file, image.stacked, "amplitude"))
     return found
 
 

@@ -267,12 +267,11 @@ class _LaidFolder:
             joints, xyz, states = ours, xyz[theirs], states[theirs]
             person.xyz = person.xyz[theirs]
         put_person(frame, at, camera, joints, xyz, states)
-        if spec.space == "image" and not np.isfinite(xyz).any():
-            uv = person.xyz[:, :2] - spec.first_pixel
-            there = states > Visibility.ABSENT
-            frame["joints_2d"][at, joints] = np.where(there[:, None], uv, np.nan)
-            outside = there & ~camera.contains(uv)
-            frame["visibility"][at, joints] = np.where(outside, Visibility.OUTSIDE_IMAGE, states)
+        if spec.space == "image":
+            flat = (states > Visibility.ABSENT) & ~np.isfinite(xyz).all(axis=1)
+            uv = person.xyz[flat, :2] - spec.first_pixel
+            frame["joints_2d"][at, joints[flat]] = uv
+            frame["visibility"][at, joints[flat]] = np.where(camera.contains(uv), states[flat], Visibility.OUTSIDE_IMAGE)
 
 
 def _depth(files: DepthFiles, image: NDArray[Any], camera: Camera) -> NDArray[np.uint16]:

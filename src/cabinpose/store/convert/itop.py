@@ -4,7 +4,7 @@
 `image_coordinates` (n, 15, 2) int16 px, `real_world_coordinates` (n, 15, 3) float16 m and `segmentation` (n, H, W) int8:
 the index of the joint whose body part a pixel shows, -1 for the background. Its camera frame has y up, ours down. ITOP's
 images are 320x240; other sizes keep theirs. `id` is subject and frame, "XX_YYYYY". ITOP's files do not say their intrinsics;
-what is exported has them beside the depth, as `camera_k` (n, 3, 3) and `camera_dist` (n, 5).
+what is exported has them beside the depth, as `camera_k` (n, 3, 3) and `camera_dist` (n, 5), and `subjects.json`: who is who.
 
 Reading has traps: depth is float16 with 0 for no answer, ids are bytes, and more than half of the frames of a test
 set carry labels that `is_valid` says not to trust. Such a frame shows a person whom nobody has labelled, so that to a
@@ -13,6 +13,7 @@ detector it would be a wrong example; the literature leaves these frames out, an
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -34,6 +35,7 @@ from cabinpose.store.frames import camera_of, frames, label_table, people, requi
 from cabinpose.store.itop import UNREADABLE, K, hdf5, read_itop_frames, read_itop_reference
 from cabinpose.store.schema import LabelRow, Manifest
 from cabinpose.store.source import UNKNOWN, Report, Source, blank_frame
+from cabinpose.store.split import people_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -118,7 +120,10 @@ class ItopFormat(DatasetFormat):
         require_variables(dataset, "ITOP's layout", ("depth", "labels", "instance"))
         count, (height, width) = dataset.sizes["frame"], dataset["depth"].shape[1:]
         segmentation_of = segmentation_table(dataset)
-        subjects = sorted({str(s) for s in dataset["subject"].values.ravel() if s})
+        numbers = _numbers(dataset)
+        (folder / "subjects.json").write_text(
+            json.dumps({n: s for s, n in numbers.items()}, indent=1, ensure_ascii=False), "utf-8"
+        )
         h5py = hdf5()
         with (
             interrupts_held() as due,  # one that goes through HDF5 as it writes ends the process
@@ -132,7 +137,7 @@ class ItopFormat(DatasetFormat):
             image |= {"compression": "gzip", "compression_opts": 1, "shuffle": True}
             data = depth_file.create_dataset("data", dtype="f2", **image)
             segmentation = label_file.create_dataset("segmentation", dtype="i1", **image)
-            ids = np.zeros(count, "S8")
+            ids = np.zeros(count, f"S{max(8, len(f'{len(numbers):02d}_{count:05d}'))}")
             valid = np.zeros(count, np.uint8)
             visible = np.zeros((count, 15), np.int16)
             uv = np.zeros((count, 15, 2), np.int16)
@@ -149,7 +154,7 @@ class ItopFormat(DatasetFormat):
                 segmentation[i] = -1
                 if persons:
                     person = persons[0]
-                    ids[i] = f"{subjects.index(person.subject) % 100:02d}_{i:05d}".encode()
+                    ids[i] = f"{numbers[person.subject]}_{i:05d}".encode()
                     joints = itop_joints(frame, person.position)
                     valid[i] = np.isfinite(joints).all()
                     visible[i] = (
@@ -177,6 +182,15 @@ ITOP_FORMAT = ItopFormat()
 
 
 # ------------------------------------------------------------------------------------------------------------ writing
+
+
+def _numbers(dataset: xr.Dataset) -> dict[str, str]:
+    """The number of everybody in the dataset's folder, by name, so that parts that are exported one by one tell people apart."""
+    from cabinpose.store.lazy import open_dataset  # noqa: PLC0415 - xarray, for those who write
+
+    folder = dataset.encoding.get("source")
+    names = people_of(dataset) | (set() if folder is None else people_of(open_dataset(folder, missing="ignore")))
+    return {name: f"{number:02d}" for number, name in enumerate(sorted(names))}
 
 
 def itop_joints(frame: xr.Dataset, position: int) -> NDArray[np.float64]:

@@ -94,7 +94,7 @@ class JointReader:
         known = np.isfinite(xyz[:, : 2 if self._spec.space == "image" else 3]).all(axis=1)
         states = np.full(len(xyz), Visibility.VISIBLE, np.uint8)
         for joint, text in enumerate(said):
-            if text not in self._states and text not in _MISSING:
+            if text not in self._states and text.lower() not in _MISSING:
                 raise DatasetError(
                     f"{path}: the state {text!r} of a joint is not in the layout",
                     hint=f"joints.states says what states are; it has: {', '.join(self._states) or 'none'}",

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cabinpose.core import LENGTHS_M, DatasetError, Visibility
+from cabinpose.core import CABINPOSE, LENGTHS_M, DatasetError, Visibility, skeleton_with
 from cabinpose.store.convert.format import DatasetFormat, ImportOptions, NoOptions
 from cabinpose.store.convert.reading import (
     Origin,
@@ -25,7 +25,7 @@ from cabinpose.store.convert.reading import (
     read_image,
     read_json,
 )
-from cabinpose.store.frames import depth_mm, file_stem, frames, label_colours, label_table, people, write_png
+from cabinpose.store.frames import dataset_skeleton, depth_mm, file_stem, frames, label_colours, label_table, people, write_png
 from cabinpose.store.schema import Manifest
 from cabinpose.store.shard import ticks_of_steps
 from cabinpose.store.source import Report, Source, blank_frame
@@ -59,6 +59,7 @@ class PngJsonFormat(DatasetFormat):
                 joints=tuple(map(str, shared["joints"])),
                 variables=folder.images,
                 licence=str(shared["licence"]),
+                joint_definition=str(shared.get("joint_definition", "")),
                 labels=folder.rows if "labels" in folder.images else (),
                 config={"exported_from": str(shared["generator"])},
             )
@@ -101,11 +102,19 @@ def _shared(dataset: xr.Dataset) -> dict[str, Any]:
         "size": [dataset.attrs["width"], dataset.attrs["height"]],
         "persons": [str(name) for name in dataset["person"].values],
         "joints": [str(name) for name in dataset["joint"].values],
+        "joint_definition": _definition(dataset),
     }
 
 
+def _definition(dataset: xr.Dataset) -> str:
+    """`joint_definition` of the dataset, or what tells in its place whose joints they are; "" where nothing does."""
+    stated, found = str(dataset.attrs.get("joint_definition") or ""), dataset_skeleton(dataset)
+    marked = found.definition != skeleton_with(found.joints, CABINPOSE.name).definition
+    return stated or (found.definition.removeprefix("those of ") if marked else "")
+
+
 def pose_record(frame: xr.Dataset) -> dict[str, Any]:
-    """The JSON of one frame: camera, place, and everybody's joints in pixels and metres (camera frame)."""
+    """The JSON of one frame: camera, place, and everybody with their joints in pixels and metres (camera frame)."""
     joints = [str(name) for name in frame["joint"].values]
     return {
         "frame": int(frame["frame"]),
@@ -132,7 +141,7 @@ def pose_record(frame: xr.Dataset) -> dict[str, Any]:
                     for i, name in enumerate(joints)
                 },
             }
-            for person in people(frame)
+            for person in people(frame, named=True)
         ],
     }
 

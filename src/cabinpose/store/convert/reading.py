@@ -141,9 +141,10 @@ def put_camera(frame: dict[str, Any], camera: Camera) -> None:
 
 
 def lift_visible(frame: dict[str, Any], manifest: Manifest) -> None:
-    """Give everybody's visible joints `joints_3d` by the depth (ticks) at their pixels; DatasetError without it or intrinsics.
+    """Give everybody's visible joints `joints_3d`, where they have none, by the depth (ticks) at their pixels.
 
-    A joint lies on the ray of its pixel, as far behind the surface there as below the skin of an adult of medium size.
+    A joint lies on the ray of its pixel, as far behind the surface there as below the skin of an adult of medium size. Raises
+    DatasetError without depth or intrinsics.
     """
     if "depth" not in manifest.variables:
         raise DatasetError("there are no images of depth to lift joints by", hint="give 16-bit PNGs in mm with --images")
@@ -151,7 +152,7 @@ def lift_visible(frame: dict[str, Any], manifest: Manifest) -> None:
         raise DatasetError("the camera is not known, by which joints are lifted", hint="give its calibration with --camera")
     camera = camera_from(frame["camera_k"], frame["camera_dist"], manifest.width, manifest.height)
     depth = np.where(frame["depth"] > 0, frame["depth"] * DEPTH_SCALE_M, np.nan)
-    for person, joint in np.argwhere(frame["visibility"] == Visibility.VISIBLE):
+    for person, joint in np.argwhere((frame["visibility"] == Visibility.VISIBLE) & np.isnan(frame["joints_3d"]).any(axis=-1)):
         uv = frame["joints_2d"][person, joint]
         if camera.contains(uv):
             z = surface_depth(depth, uv) + CABINPOSE.skin_m[CABINPOSE.joints[joint]]
@@ -251,7 +252,11 @@ def read_image(path: Path, *, floats: bool = False) -> NDArray[Any]:
             if floats and image.mode == "F":
                 return np.asarray(image)
             if image.mode.startswith("I"):  # 16 bits
-                return np.asarray(image).astype(np.uint16)
+                grey = np.asarray(image)
+                low, high = int(grey.min()), int(grey.max())
+                if low < 0 or high > np.iinfo(np.uint16).max:
+                    raise DatasetError(f"{path} has values from {low} to {high}", hint="save it with 16 bits, 0 to 65535")
+                return grey.astype(np.uint16)
             return np.asarray(image if image.mode == "L" else image.convert("RGB"))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         if isinstance(error, OSError) and error.errno is not None:  # of the file system, not of what is in the file
