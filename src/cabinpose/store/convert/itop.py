@@ -121,9 +121,7 @@ class ItopFormat(DatasetFormat):
         count, (height, width) = dataset.sizes["frame"], dataset["depth"].shape[1:]
         segmentation_of = segmentation_table(dataset)
         numbers = _numbers(dataset)
-        (folder / "subjects.json").write_text(
-            json.dumps({n: s for s, n in numbers.items()}, indent=1, ensure_ascii=False), "utf-8"
-        )
+        (folder / "subjects.json").write_text(json.dumps({n: s for s, n in numbers.items()}, indent=1), "utf-8")
         h5py = hdf5()
         with (
             interrupts_held() as due,  # one that goes through HDF5 as it writes ends the process
