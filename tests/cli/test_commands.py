@@ -233,6 +233,10 @@ def test_an_export_replaces_no_dataset(run: Run, dataset_folder: Path, tmp_path:
     deep = shutil.copytree(dataset_folder, tmp_path / "deep" / "a" / "b")
     assert run("export", "coco", deep, "--out", tmp_path / "deep", "--overwrite").code == 2
     assert sorted((tmp_path / "data").rglob("*")) == held
+    splits = tmp_path / "splits.yaml"
+    splits.write_text("a: {car: [sedan]}\nb: {car: [van]}\n")
+    for more in ([], ["--overwrite"]):  # its own are exports, which may be made again
+        assert run("export", "dataset", data, "--out", tmp_path / "own", "--splits", splits, *more).code == 0
 
 
 def test_folds_are_those_of_the_whole_dataset(run: Run, dataset_folder: Path, tmp_path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cabinpose.core import DatasetError
 from cabinpose.store.convert.format import DatasetFormat, format_of, made_options
-from cabinpose.store.schema import MANIFEST_NAME
+from cabinpose.store.schema import MANIFEST_NAME, read_manifest
 from cabinpose.store.source import Report, new_folder
 
 if TYPE_CHECKING:
@@ -77,13 +78,20 @@ def write_parts(
 ) -> Path:
     """Write what `form.parts` gave; everything else as in `export_dataset`."""
     read = (Path(part.encoding["source"]).resolve() for part in parts.values() if "source" in part.encoding)
-    there = [*folder.glob(MANIFEST_NAME), *folder.glob(f"*/{MANIFEST_NAME}")]
-    if there or any(each.is_relative_to(folder.resolve()) for each in read):
+    below = (not _is_chosen(manifest.parent) for manifest in folder.glob(f"*/{MANIFEST_NAME}"))
+    if (folder / MANIFEST_NAME).exists() or any(below) or any(each.is_relative_to(folder.resolve()) for each in read):
         raise DatasetError(f"{folder} holds a dataset, which an export never replaces", hint="give another folder with --out")
     with new_folder(folder, overwrite=overwrite) as temporary:
         temporary.mkdir(parents=True)
         form.write(parts, temporary, options, report or (lambda _: None))
     return folder
+
+
+def _is_chosen(folder: Path) -> bool:
+    """Whether a dataset is of frames that were chosen of another one, as a split that was exported is."""
+    with suppress(DatasetError):
+        return bool(read_manifest(folder).selection)
+    return False
 
 
 def open_source(path: Path | str, name: str, /, **options: Any) -> Source:
