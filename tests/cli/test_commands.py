@@ -235,6 +235,11 @@ def test_an_export_replaces_no_dataset(run: Run, dataset_folder: Path, tmp_path:
     assert sorted((tmp_path / "data").rglob("*")) == held
     splits = tmp_path / "splits.yaml"
     splits.write_text("a: {car: [sedan]}\nb: {car: [van]}\n")
+    own = tmp_path / "coco"
+    own.mkdir()
+    (own / "thesis.txt").write_text("x")
+    code, _, err = run("export", "coco", dataset_folder, "--out", own, "--overwrite")
+    assert (code, "holds thesis.txt" in err, [path.name for path in own.iterdir()]) == (2, True, ["thesis.txt"])
     for more in ([], ["--overwrite"]):  # its own are exports, which may be made again
         assert run("export", "dataset", data, "--out", tmp_path / "own", "--splits", splits, *more).code == 0
 

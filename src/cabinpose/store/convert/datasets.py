@@ -84,6 +84,12 @@ def write_parts(
     with new_folder(folder, overwrite=overwrite) as temporary:
         temporary.mkdir(parents=True)
         form.write(parts, temporary, options, report or (lambda _: None))
+        kinds = {each.suffix or each.name for each in temporary.iterdir()}
+        for each in sorted(folder.iterdir()) if folder.is_dir() else ():
+            if (each.suffix or each.name) not in kinds:
+                raise DatasetError(
+                    f"{folder} holds {each.name}, which this export has not", hint="move it away, or give another --out"
+                )
     return folder
 
 
