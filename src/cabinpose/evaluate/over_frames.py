@@ -16,7 +16,7 @@ UNITS = {"2d": "px", "3d": "cm"}
 
 def joint_distances(samples: Samples, space: str) -> Float:
     """(S, J) distances of the joints that count and were found, NaN elsewhere; "3d" in cm, "2d" in px."""
-    where, factor = (samples.px, 1.0) if space == "2d" else (samples.m, 100.0)
+    where, factor = samples.space(space), 1.0 if space == "2d" else 100.0
     return np.where(samples.counts & where.found, where.error, np.nan) * factor
 
 
@@ -80,7 +80,7 @@ def frame_distances(samples: Samples, space: str, options: EvaluationOptions) ->
     sums, hits, counted = (np.zeros((count, error.shape[1])) for _ in range(3))
     np.add.at(sums, samples.at, np.where(found, error, 0.0))
     np.add.at(hits, samples.at, found)
-    np.add.at(counted, samples.at, samples.counts & (samples.px if space == "2d" else samples.m).known)
+    np.add.at(counted, samples.at, samples.counts & samples.space(space).known)
     return FrameDistances(
         space, tuple(samples.skeleton.joints), samples.frames, _average(sums, hits, counted),
         _average(sums.sum(axis=1), hits.sum(axis=1), counted.sum(axis=1)),

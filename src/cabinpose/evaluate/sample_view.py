@@ -96,7 +96,7 @@ class SampleView:
     @cached_property
     def errors(self) -> Space:
         """The errors in this space, 2D or 3D."""
-        return self.samples.px if self.space == "2d" else self.samples.m
+        return self.samples.space(self.space)
 
     @cached_property
     def counts(self) -> Bool:

@@ -95,6 +95,10 @@ class Samples(NamedTuple):
     expected: Float
     near: Bool
 
+    def space(self, name: str) -> Space:
+        """The errors in "2d" (px) or "3d" (m)."""
+        return self.px if name == "2d" else self.m
+
     def spaces(self) -> dict[str, Space]:
         """The errors by space, "2d" (px) and "3d" (m), in which the model answers at all and the truth is known (a COCO file
         knows pixels alone); "2d" where it never answers.

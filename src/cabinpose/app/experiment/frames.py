@@ -50,7 +50,7 @@ class SelectedFrames:
         """Who may be in the frames, of a user's folder who is; nobody is known of folds that are not."""
         if self._folded("subject"):
             return set()
-        if not self._config:
+        if not self.stands_in:
             return self._shown("subject")
         return {who for piece in self.pieces for who in piece.people if not self.part.subject or who[0] in self.part.subject}
 
@@ -59,7 +59,7 @@ class SelectedFrames:
         """Which cars may be in the frames; likewise."""
         if self._folded("car"):
             return set()
-        if not self._config:
+        if not self.stands_in:
             return self._shown("car")
         return {car for piece in self._asked for car in piece.cars if not self.part.car or car[0] in self.part.car}
 
@@ -72,8 +72,8 @@ class SelectedFrames:
         )
 
     @property
-    def _config(self) -> bool:
-        """Whether stand-ins are among the pieces."""
+    def stands_in(self) -> bool:
+        """Whether stand-ins are among the pieces, of which it is not known before they are made who is in which frame."""
         return any(piece.config for piece in self.pieces)
 
     def _shown(self, kind: str) -> set[Identity]:
@@ -119,9 +119,9 @@ def check_subjects(source: SelectedFrames, where: str) -> None:
         for name in wanted:
             if name not in there:
                 error = unknown_name(kind, name, sorted(there))
-                hint = error.hint if any(p.config for p in source.pieces) else f"{error.hint}; {_OTHERS}"
+                hint = error.hint if source.stands_in else f"{error.hint}; {_OTHERS}"
                 raise ConfigError(f"{where}, data {source.part.data}: {error}", hint=hint)
-    if not any(piece.config for piece in source.pieces):
+    if not source.stands_in:
         _refuse_unknown([open_dataset(piece.folder) for piece in source.pieces], source.part, where)
     if source.part.frames is not None and source.part.frames > source.most:
         raise _too_few(where, source, source.most)
@@ -129,7 +129,7 @@ def check_subjects(source: SelectedFrames, where: str) -> None:
 
 def _too_few(where: str, source: SelectedFrames, there: int) -> ConfigError:
     part = source.part
-    more = f", or make more with data.{part.data}.frames" if any(piece.config for piece in source.pieces) else ""
+    more = f", or make more with data.{part.data}.frames" if source.stands_in else ""
     return ConfigError(
         f"{where}: {part.frames} frames of {part.data} are asked for at this scale, and the selection has {there}",
         hint=f"ask for at most {there}, or select more of it{more}",
