@@ -7,20 +7,23 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 import yaml
 
 from cabinpose.app.cli import live as live_command
 from cabinpose.app.live.choose import open_feed, parsed_settings
 from cabinpose.app.live.feed import EveryFrame, LatestFrame, LiveFrame, batch_of
 from cabinpose.app.live.run import Found, Latency, Live, _people
+from cabinpose.app.models import open_detectors
 from cabinpose.core.errors import CabinposeError, ConfigError, ModelError
 from cabinpose.core.ports import FrameBatch, PoseBatch
-from cabinpose.estimate import joint_predictor, make_smoother
+from cabinpose.estimate import joint_predictor, make_smoother, packaged_models
 from cabinpose.record.config import Rig, SourcePlan, parse_rig
 from cabinpose.signals.clock import HostClock
 from cabinpose.signals.recorded import Counts, Sample, ToFFrame
@@ -252,6 +255,26 @@ def test_frames_without_people_have_their_reason_wherever_answers_are(
     assert told_json["caveats"]["answered"] == FRAMES
 
 
+@pytest.mark.parametrize("device", [True, False])
+def test_frames_of_a_recording_are_numbered_and_timed_as_predict_does(tmp_path: Path, device: bool) -> None:
+    """By their order, and by the host's time where the camera had none; they arrive one by one, however many are read at once."""
+    path, at = tmp_path / "take.mcap", [10**18 + n * 33_000_000 for n in range(20)]
+    with RecordingWriter(path) as writer:
+        for n, host_ns in enumerate(at):
+            counted = (2 * n + 7, host_ns - 10**17) if device else (None, None)
+            writer.write("camera", Sample(counted[0], host_ns, counted[1], b"", (image(n),)))
+    model = Model(seconds=0.01)
+    live = Live(open_feed(str(path)), [model], keep=True)
+    frames = seen_by(live, lambda: False)
+    taken = [stamp - 10**17 * device for stamp in at]
+    assert [frame.taken_ns for frame in frames] == taken
+    assert live.predictions(model).frame.tolist() == [*range(20)]
+    assert [(int(f.batch["frame"][0]), int(f.batch["sync_ns"][0])) for f in frames] == [*enumerate(taken)]
+    latency = live.status(whole=True).latency
+    assert latency is not None
+    assert latency.p95 < 5 * 10  # of one detection, and not of all those before it
+
+
 # ------------------------------------------------------------------------------------------------ the newest frame
 
 
@@ -275,6 +298,42 @@ def test_slow_detector_sees_the_newest_frames() -> None:
     assert status.feed.passed_over >= 20
 
 
+def test_a_camera_that_does_not_count_is_counted() -> None:
+    camera = Camera(6, 0.01)
+    counted, camera.read = camera.read, lambda wait: [replace(each, sequence=None) for each in counted(wait)]  # type: ignore[method-assign]
+    live = Live(LatestFrame(camera_rig(camera)), [Model()])
+    frames = seen_by(live, lambda: camera.counts.received == 6 and live.feed.status().passed_over + live.frames == 6)
+    assert frames[-1].number == 5
+    assert [frame.number for frame in frames] == sorted({frame.number for frame in frames})
+    assert all(frame.batch["frame"].tolist() == [frame.number] for frame in frames)
+
+
+def test_a_number_that_comes_twice_stands_once_in_the_predictions() -> None:
+    camera = Camera(4, 0.0)
+    counted, camera.read = camera.read, lambda wait: [replace(each, sequence=7) for each in counted(wait)]  # type: ignore[method-assign]
+    model = Model(seconds=0.02)
+    live = Live(LatestFrame(camera_rig(camera)), [model], keep=True)
+    assert len(seen_by(live, lambda: live.frames == 2 or camera.counts.received == 4)) <= 4
+    assert live.predictions(model).frame.tolist() == [7]
+
+
+def test_a_dataset_plays_at_its_own_pace(dataset_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sequences of three and two frames at 20 Hz, all with the wheel on the right; what is set goes before."""
+    stamps, of = [0, 50, 100, 0, 50], [0, 0, 0, 1, 1]
+    told = {"sync_ns": np.array(stamps) * 10**6, "sequence": np.array(of), "drive_side": np.array(["right"] * 5, object)}
+    dataset = xr.Dataset({name: ("frame", values) for name, values in told.items()})
+    monkeypatch.setattr("cabinpose.app.live.choose.open_dataset", lambda _: dataset)
+    for words, rate, loss in (([], 20.0, 0.0), (["faults.loss=0.1"], 20.0, 0.1), (["faults.rate_hz=7"], 7.0, 0.0)):
+        feed = open_feed(str(dataset_folder), parsed_settings(words), realtime=True)
+        assert isinstance(feed, LatestFrame)
+        faults = feed._rig.sources[0].settings.faults  # type: ignore[attr-defined]
+        assert (faults.rate_hz, faults.loss, feed.drive_side) == (rate, loss, "right")
+    monkeypatch.undo()
+    feed = open_feed(str(dataset_folder), realtime=True)  # of frames that do not follow each other
+    assert isinstance(feed, LatestFrame)
+    assert (feed._rig.sources[0].settings.faults.rate_hz, feed.drive_side) == (15.0, "")  # type: ignore[attr-defined]
+
+
 def test_frames_are_recorded_meanwhile(tmp_path: Path) -> None:
     camera, out = Camera(20, 0.01), tmp_path / "out.mcap"
     live = Live(LatestFrame(camera_rig(camera), out), [Model(seconds=0.05)])
@@ -287,7 +346,7 @@ def test_frames_are_recorded_meanwhile(tmp_path: Path) -> None:
 
 def test_camera_that_falls_silent_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = Camera(5, 0.01)
-    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda *_: [Model()])
+    monkeypatch.setattr("cabinpose.app.models.open_detectors", lambda *_: [Model()])
     monkeypatch.setattr("cabinpose.app.live.choose.open_feed", lambda *_, **__: LatestFrame(camera_rig(camera)))
     outcome = run("live", "--source", "simulated", "--duration", 4)
     assert outcome.code == 1
@@ -324,7 +383,7 @@ def test_an_sdk_that_is_not_installed_is_named_with_the_remedy(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setenv("DEPTHAI_LEVEL", "off")  # a source sets it, for good
-    monkeypatch.setattr("cabinpose.app.cli.live.load", lambda *_: [Model()])
+    monkeypatch.setattr("cabinpose.app.models.open_detectors", lambda *_: [Model()])
     outcome = run("live", "--source", kind)
     assert outcome.code == 2
     assert outcome.err == f"error: {camera} needs the Python package {package}, which is not installed\nhint: {remedy}\n"
@@ -373,6 +432,7 @@ def test_failures_are_counted_by_their_cause(dataset_folder: Path, capsys: pytes
         (("--source", "{dataset}", "--record", "x.mcap"), "is recorded already"),
         (("--source", "{dataset}", "--set", "loop=true"), "loop cannot be set"),
         (("--source", "{recording}:other"), "unknown source of the recording 'other'"),
+        (("--source", "{dataset}", "--duration", "nan"), "--duration nan is nothing to look at"),
         (("--source", "{dataset}", "--frames", "0"), "--frames 0 is nothing to look at"),
         (("--source", "{dataset}", "--model", "in_car", "in_car"), "each model is named once"),
         (("--source", "simulated", "--set", "dataset"), "sets nothing"),
@@ -401,6 +461,46 @@ def test_camera_of_a_rig_and_settings_over_it(dataset_folder: Path, tmp_path: Pa
     assert 1 <= len(seen_by(live, lambda: False)) <= FRAMES
     with pytest.raises(ConfigError, match="unknown source 'other'"):
         open_feed(f"{rig}:other")
+    with pytest.raises(ConfigError, match=r"suit of .* is no camera") as caught:
+        open_feed(f"{rig}:suit")
+    assert caught.value.hint == "its cameras: tof"
+
+
+def test_a_setting_takes_the_place_of_one_of_the_rig_alone(dataset_folder: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yml"
+    rig.write_text(f"sources:\n  tof: {{kind: simulated, dataset: {dataset_folder}, faults: {{rate_hz: 20, loss: 0.3}}}}\n")
+    feed = open_feed(str(rig), parsed_settings(["faults.rate_hz=100"]), out=tmp_path / "out.mcap")
+    assert isinstance(feed, LatestFrame)
+    settings: Any = feed._rig.sources[0].settings
+    assert (settings.faults.rate_hz, settings.faults.loss) == (100.0, 0.3)
+
+
+def test_a_source_that_is_no_mapping_is_told(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("sources: {tof: simulated}\n")
+    with pytest.raises(ConfigError, match=r"sources\.tof"):
+        open_feed(f"{rig}:tof")
+
+
+def test_the_sample_is_a_dataset(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cabinpose.app.models.open_detectors", lambda *_: [Model()])
+    done = run("live", "sample", "--frames", "2", "--json")
+    assert [json.loads(line).get("frame") for line in done.out.splitlines()] == [0, 1, None]
+
+
+def test_models_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    copy = tmp_path / "copy.onnx"
+    copy.write_bytes(packaged_models()["in_car"].read_bytes())
+    models = open_detectors(["in_car", str(copy), "room"])
+    assert [model.name for model in models] == ["in_car (in_car)", f"in_car ({copy})", "room"]
+    live = Live(_every_frame(1), models)
+    assert [*live.status().models] == [model.name for model in models]
+
+
+def test_frames_that_a_server_did_not_answer_are_among_the_failed() -> None:
+    model = Model()
+    model.failed = 2  # type: ignore[attr-defined]  # as a `RemotePredictor` counts them that goes on
+    assert Live(_every_frame(1), [model]).status().failed == {"model": 2}
 
 
 EXTENSION = """
@@ -431,7 +531,7 @@ def test_cameras_and_files_of_other_packages(extension: Callable[..., None], dat
     assert "acme-file" not in str(caught.value.hint)
 
 
-@pytest.mark.parametrize("words", [["a=1", "a.b=2"], ["=1"], ["a=[1"]])
+@pytest.mark.parametrize("words", [["a=1", "a.b=2"], ["a.b=2", "a=1"], ["=1"], ["a=[1"]])
 def test_settings_that_say_nothing(words: list[str]) -> None:
     with pytest.raises(ConfigError):
         parsed_settings(words)

@@ -53,7 +53,9 @@ def test_the_address_says_everything() -> None:
         ("grpc://pc:1/m?on_eror=skip", "unknown key of a model's address 'on_eror'"),
         ("grpc://pc:1/m?on_error=maybe", "on_error cannot be 'maybe'"),
         ("grpc://pc:1/m?timeout_s=0", "timeout_s cannot be '0'"), ("grpc://pc:1/m?timeout_s=nan", "timeout_s cannot be 'nan'"),
-        ("grpc://pc:1/m?max_message_mb=1e9", "max_message_mb cannot be"),
+        ("grpc://pc:1/m?max_message_mb=2048", "max_message_mb cannot be"),
+        ("grpc://pc:1/m?joints=head&joints=neck", "sets a key twice"),
+        ("grpc://pc:1/m?persons=driver,driver", "names one of them twice"),
     ],
 )  # fmt: skip
 def test_addresses_that_are_none(text: str, message: str) -> None:
@@ -113,6 +115,17 @@ def test_names_may_stand_in_the_address(algorithm: Start, frames: FrameBatch) ->
     assert service.requests == []
     assert (remote.persons, remote.joints) == (("rear_left",), ("neck", "chest"))
     assert remote.predict(frames).joints_3d.shape == (3, 1, 2, 3)
+
+
+def test_the_first_answer_has_its_time_whoever_names_the_joints(algorithm: Start, frames: FrameBatch) -> None:
+    service, address = algorithm()
+    service.requests.append(None)  # no answer is the first of its own any more
+    service.answer = lambda r: (time.sleep(0.4 if r.id in told else 0.0), good_answer(r))[1]
+    told, named = ["40"], f"{address}?persons=driver&joints=head,lhand&timeout_s=0.2"
+    assert open_predictor(named).predict(frames).presence.max(axis=(1, 2)).tolist() == [1, 1, 1]
+    told = ["41"]
+    with pytest.raises(RemoteError, match=r"frame 41: there was no answer within 0.2 s"):
+        open_predictor(named).predict(frames)
 
 
 def test_float_amplitudes_are_rounded(algorithm: Start, frames: FrameBatch) -> None:
@@ -198,6 +211,13 @@ BAD: dict[str, tuple[Callable[[Any], Any], str]] = {
         "head of driver: presence is above 0 and the position NaN",
     ),
     "infinite": (_changed(joints_3d=np.full((1, 1, 2, 3), np.float32(np.inf))), "head of driver: joints_3d is partly NaN or inf"),
+    "two frames": (
+        lambda r: {name: np.repeat(a, 2, axis=0) if a.ndim > 1 else a for name, a in good_answer(r).items()},
+        "the answer is of 2 frames, not of one",
+    ),
+    "other joints": (
+        _changed(joint_names=np.array(["lhand", "head"], object)), "its joints are lhand, head, and were head, lhand"
+    ),
     "nothing": (lambda _: {}, "neither joints_2d nor joints_3d"),
     "another frame": (lambda r: service_pb2.ModelInferResponse(id="13"), "the answer is that of frame '13'"),
     "too large": (lambda r: service_pb2.ModelInferResponse(raw_output_contents=[bytes(3 << 20)]), "RESOURCE_EXHAUSTED"),

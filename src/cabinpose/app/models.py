@@ -83,6 +83,20 @@ def check_chosen(images: Sequence[str], models: Sequence[str]) -> None:
         )
 
 
+def open_detectors(names: Sequence[str], images: Sequence[str] = ()) -> list[Predictor]:
+    """The detectors of these names, each called differently, as `told_apart` has it; images: those that servers' are given."""
+    check_chosen(images, names)
+    models = [open_predictor(name, images if name.startswith(SCHEME) else ()) for name in names]
+    for model, name in zip(models, told_apart([model.name for model in models], names), strict=True):
+        model.name = name
+    return [*models]
+
+
+def told_apart(names: Sequence[str], words: Sequence[str]) -> list[str]:
+    """What models are called: their names, and behind those that several share the words by which each was given."""
+    return [f"{name} ({word})" if list(names).count(name) > 1 else name for name, word in zip(names, words, strict=True)]
+
+
 def seat_predictors(models: Sequence[Model]) -> list[JointPredictor]:
     """Those of the models that tell seats by place, and so by where the wheel is."""
     bases = [model.base if isinstance(model, LiftedPredictor) else model for model in models]

@@ -34,16 +34,17 @@ T = TypeVar("T")
 Maybe = Annotated[Optional[T], arg(help_behavior_hint="")]  # a flag without a value as default; its help states what happens
 
 
-def _dataset(words: list[str]) -> Path:
+def dataset_path(word: str) -> Path:
     """A path, or `sample`: the dataset of the package, where nothing here has that name."""
-    path = Path(words[0])
-    return SAMPLE if words[0] == "sample" and not path.exists() else path
+    path = Path(word)
+    return SAMPLE if word == "sample" and not path.exists() else path
 
 
 DatasetPath = Annotated[
     Path,
     PrimitiveConstructorSpec(
-        nargs=1, metavar="PATH", instance_from_str=_dataset, is_instance=lambda value: isinstance(value, Path),
+        nargs=1, metavar="PATH", instance_from_str=lambda words: dataset_path(words[0]),
+        is_instance=lambda value: isinstance(value, Path),
         str_from_instance=lambda path: [str(path)],
     ),
 ]  # fmt: skip

@@ -260,13 +260,13 @@ def _names(chosen: Sequence[Predictions | Predictor | ClassImages | Segmenter], 
 
     Raises ConfigError for a word given twice.
     """
+    from cabinpose.app.models import told_apart
     from cabinpose.evaluate import model_name
 
     for word in words:
         if words.count(word) > 1:
             raise ConfigError(f"{word} is given twice", hint="name each file and each model once")
-    names = [model_name(each) for each in chosen]
-    return [f"{name} ({word})" if names.count(name) > 1 else name for name, word in zip(names, words, strict=True)]
+    return told_apart([model_name(each) for each in chosen], words)
 
 
 def _places(dataset: xr.Dataset, models: Sequence[Predictions | Predictor]) -> tuple[str, ...]:

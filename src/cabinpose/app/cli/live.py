@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, Smooths, placed, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, Smooths, dataset_path, placed, several
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
@@ -22,7 +22,6 @@ from cabinpose.core import ConfigError, check_output
 
 if TYPE_CHECKING:
     from cabinpose.app.live.run import Latency, Live, LiveStatus
-    from cabinpose.core import Predictor
 
 _REFRESH_S = 0.25
 _LOG_EVERY_S = 10.0  # between lines where stderr is no terminal
@@ -37,8 +36,8 @@ class LiveCommand(RunsModels, Smooths):
     """
 
     source: Annotated[Positional[str], arg(metavar="SOURCE")]
-    """Dataset, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), file of a camera (such as .mkv),
-    or kind of camera, as a rig has it: simulated, or that of a vendor. A word that is none of these lists all kinds."""
+    """Dataset or `sample`, recording (FILE.mcap or FILE.mcap:SOURCE), rig (RIG.yaml or RIG.yaml:SOURCE), file of a camera (such
+    as .mkv), or kind of camera, as a rig has it: simulated, or that of a vendor. A word that is none of these lists all kinds."""
     model: Annotated[tuple[str, ...], several("MODEL [MODEL ...]")] = ("in_car",)
     """Models to run, one after the other on each frame: names of packaged models, ONNX or .npz files, or models on
     servers (grpc://HOST:PORT/MODEL)."""
@@ -74,26 +73,27 @@ def run(command: LiveCommand) -> int:
     require("record")
     from cabinpose.app.live.choose import open_feed, parsed_settings
     from cabinpose.app.live.run import Live, found_record
-    from cabinpose.app.models import tell_drive_side
+    from cabinpose.app.models import open_detectors, tell_drive_side
     from cabinpose.store import check_new_predictions
 
     _check(command)
+    command = replace(command, source=str(dataset_path(command.source)))
     smoothers = command.smoothers(len(command.model))
     if command.predictions is not None:
         check_output(command.predictions, parents=False)
         check_new_predictions(command.predictions, overwrite=command.overwrite)
     settings = parsed_settings(command.settings)
     feed = open_feed(command.source, settings, realtime=command.realtime, out=command.record)
-    models = load(command.model, command.images)
+    models = open_detectors(command.model, command.images)
     tell_drive_side(models, command.drive_side)
     live = Live(feed, models, skip_errors=command.skip_errors, keep=_keeps(command, feed), smoothers=smoothers)
     with asked_to_stop("ending") as asked, _shown() as show:
+        feed.start()
         until = time.monotonic() + (command.duration or float("inf"))
 
         def go_on() -> bool:
             return not asked() and time.monotonic() < until and live.frames != command.frames
 
-        feed.start()
         try:
             for frame, found in live.run(go_on):
                 if command.as_json:
@@ -120,18 +120,9 @@ def run(command: LiveCommand) -> int:
     return 0
 
 
-def load(names: Sequence[str], images: Sequence[str] = ()) -> list[Predictor]:
-    """The detectors of these names, ready; images: those that models on servers are given."""
-    from cabinpose.app.models import check_chosen
-    from cabinpose.estimate.remote import SCHEME, open_predictor
-
-    check_chosen(images, names)
-    return [open_predictor(name, images if name.startswith(SCHEME) else ()) for name in names]
-
-
 def _check(command: LiveCommand) -> None:
     for flag, value in (("--frames", command.frames), ("--duration", command.duration)):
-        if value is not None and value <= 0:
+        if value is not None and not value > 0:  # not a number as well
             raise ConfigError(f"{flag} {value:g} is nothing to look at", hint=f"give {flag} more than 0")
     if len(set(command.model)) != len(command.model) or not command.model:
         raise ConfigError("each model is named once", hint="--model in_car")

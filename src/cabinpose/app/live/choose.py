@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import xarray as xr
 import yaml
 
 from cabinpose.app.live.feed import DatasetFeed, EveryFrame, Feed, LatestFrame
@@ -13,9 +15,10 @@ from cabinpose.core import ConfigError, read_yaml, unknown_name
 from cabinpose.record import Rig, parse_rig
 from cabinpose.record.sources import SOURCES, cameras, is_camera, player_of
 from cabinpose.signals import HostClock
-from cabinpose.store import MANIFEST_NAME
+from cabinpose.store import MANIFEST_NAME, open_dataset
 from cabinpose.store.recording import Recording
 
+_RIGS = (".yaml", ".yml")
 _SOURCES = "give a dataset, a recording (.mcap), a rig (.yaml), a file of a camera (such as .mkv), or a kind of camera"
 
 
@@ -48,7 +51,7 @@ def open_feed(
     path, name = _split(source)
     if path is not None:
         _check_within(path, within)
-    if out is not None and path is not None and path.suffix != ".yaml":
+    if out is not None and path is not None and path.suffix not in _RIGS:
         raise ConfigError(f"{path} is recorded already", hint="leave out --record, or name a camera")
 
     def latest(rig: Rig, out: Path | None = None) -> LatestFrame:
@@ -65,16 +68,24 @@ def open_feed(
         if not realtime:
             _nothing_set(given, path)
             return DatasetFeed(path)
-        return latest(_rig("dataset", "simulated", {"dataset": str(path.absolute()), "loop": False} | given))
+        dataset = open_dataset(path)
+        seen = {"dataset": str(path.absolute()), "loop": False, "faults": _pace(dataset)}
+        feed: Feed = latest(_rig("dataset", "simulated", _changed(seen, given)))
+        feed.drive_side = _drive_side(dataset)
+        return feed
     if path.suffix == ".mcap":
-        played = {"path": str(path.absolute()), "source": name, "speed": 1.0 if realtime else 0.0} | given
+        with Recording(path) as recording:
+            if name in recording.sources and name not in recording.cameras:
+                raise ConfigError(f"{name} of {path} is no camera", hint=f"its cameras: {', '.join(recording.cameras) or 'none'}")
+            drive_side = recording.take.drive_side or ""
+        # At the pace of the detectors, a frame without a time of its camera was taken when it was recorded, not read.
+        played = {"path": str(path.absolute()), "source": name, "speed": float(realtime), "host_time": not realtime} | given
         rig = _rig("replay", "replay", played)
         clock = HostClock()
         feed = latest(rig) if realtime else EveryFrame(rig.sources[0].build(clock), clock)
-        with Recording(path) as recording:
-            feed.drive_side = recording.take.drive_side or ""
+        feed.drive_side = drive_side
         return feed
-    if path.suffix not in (".yaml", ".yml") and (kind := player_of(path.suffix)):
+    if path.suffix not in _RIGS and (kind := player_of(path.suffix)):
         return latest(_rig(kind, kind, {"path": str(path.absolute())} | given))
     return latest(_one_of(path, name, given), out)
 
@@ -92,6 +103,8 @@ def parsed_settings(words: Sequence[str]) -> dict[str, Any]:
             inner = inner.setdefault(parent, {})
             if not isinstance(inner, dict):
                 raise ConfigError(f"'{word}' sets a part of what is set whole before", hint="leave one of them out")
+        if isinstance(inner.get(last), dict):
+            raise ConfigError(f"'{word}' sets whole what is set in part before", hint="leave one of them out")
         try:
             inner[last] = yaml.safe_load(value)
         except yaml.YAMLError as error:
@@ -126,16 +139,41 @@ def _one_of(path: Path, name: str | None, settings: Mapping[str, Any]) -> Rig:
     sources = data.get("sources") if isinstance(data, dict) else None
     if not isinstance(sources, dict) or not sources:
         raise ConfigError(f"{path} names no sources", hint="docs/recording.md has a rig to start from")
+    there = [str(n) for n, s in sources.items() if not isinstance(s, dict) or _may_be_camera(s.get("kind"))]
     if name is None:
-        there = [n for n, s in sources.items() if not isinstance(s, dict) or _may_be_camera(s.get("kind"))]
         if len(there) != 1:
-            raise ConfigError(f"{path} has {len(there)} cameras", hint=f"name one: {path}:NAME of {', '.join(sources)}")
-        name = str(there[0])
+            raise ConfigError(f"{path} has {len(there)} cameras", hint=f"name one: {path}:NAME of {', '.join(there or sources)}")
+        name = there[0]
     if name not in sources:
         error = unknown_name("source", name, [str(n) for n in sources])
         raise ConfigError(f"{path}: {error}", hint=error.hint)
-    kept = data | {"sources": {name: dict(sources[name]) | dict(settings)}}
+    if name not in there and not getattr(SOURCES[sources[name]["kind"]], "plays", ""):  # a recording may be of a camera
+        raise ConfigError(f"{name} of {path} is no camera", hint=f"its cameras: {', '.join(there) or 'none'}")
+    of = sources[name]
+    kept = data | {"sources": {name: _changed(of, settings) if isinstance(of, dict) else of}}
     return parse_rig(kept, yaml.safe_dump(kept, sort_keys=False), base=path.parent)
+
+
+def _changed(settings: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with those that were given in place of them, also within such as have keys of their own."""
+    both = {
+        key: _changed(settings[key], value) if isinstance(value, dict) and isinstance(settings.get(key), dict) else value
+        for key, value in given.items()
+    }
+    return {**settings, **both}
+
+
+def _pace(dataset: xr.Dataset) -> dict[str, float]:
+    """Frames a second of a dataset of sequences, among the faults of a simulated camera; none where no frame follows another."""
+    at, of = (dataset[name].values for name in ("sync_ns", "sequence"))
+    steps = np.diff(at)[(np.diff(of) == 0) & (np.diff(at) > 0)]
+    return {"rate_hz": min(float(1e9 / np.median(steps)), 1000.0)} if steps.size else {}
+
+
+def _drive_side(dataset: xr.Dataset) -> str:
+    """Where the wheel is in all frames of a dataset; "" where it does not say so."""
+    sides = set(dataset["drive_side"].values.tolist()) if "drive_side" in dataset else set()
+    return str(sides.pop()) if len(sides) == 1 else ""
 
 
 def _may_be_camera(kind: object) -> bool:

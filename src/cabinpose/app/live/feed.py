@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,9 @@ _WAIT_S = 0.1  # for a frame, before the caller is asked whether to go on
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """One frame as a detector gets it. number: of the dataset's frame, or the source's own count · host_ns: when it came ·
-    taken_ns: when it was taken, by the dataset or the device, or `host_ns` where neither says it · sequence: the dataset's.
+    """One frame as a detector gets it. number: of the dataset's frame, of a recording from 0 as `predict` counts, of a device its
+    own count or, where it does not count, how many came before · host_ns: when it came · taken_ns: when it was taken, by the
+    dataset or the device, or `host_ns` (of a recording, as recorded) where neither says it · sequence: the dataset's.
     """
 
     number: int
@@ -104,6 +105,7 @@ class EveryFrame(Feed):
 
     def __init__(self, source: FrameSource, clock: HostClock) -> None:
         self.name, self._source, self.clock = source.name, source, clock
+        self._given = 0
 
     def start(self) -> None:
         """Open the source."""
@@ -119,8 +121,9 @@ class EveryFrame(Feed):
             if not samples:
                 yield None
             for sample in samples:
-                if (frame := live_frame(sample, self.drive_side)) is not None:
-                    yield frame
+                if (frame := live_frame(sample, self._given, self.drive_side)) is not None:
+                    self._given += 1
+                    yield replace(frame, host_ns=self.clock.now_ns())  # of a file many are read at once: it comes now
 
     def status(self) -> FeedStatus:
         """The counts of the source."""
@@ -163,11 +166,15 @@ class LatestFrame(Feed):
     def frames(self) -> Iterator[LiveFrame | None]:
         """The newest frame whenever one is asked for, each once."""
         while True:
-            sample = self._source.newest(_WAIT_S)
-            frame = None if sample is None else live_frame(sample, self.drive_side)
+            ended = self._lane.ended  # before the look: the last frame may come between the two
+            newest = self._source.newest(_WAIT_S)
+            frame = None
+            if newest is not None:
+                before, sample = newest
+                frame = live_frame(sample, before if sample.sequence is None else sample.sequence, self.drive_side)
             if self._recorder is None:
                 self._lane.take(1 << 62)  # nobody else empties its queue
-            if frame is None and self._lane.ended:
+            if frame is None and ended:
                 return
             yield frame
 
@@ -192,7 +199,8 @@ class _Tap:
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source
-        self._newest: Sample | None = None
+        self._newest: tuple[int, Sample] | None = None  # frames before it, and what has it
+        self._frames = 0
         self._changed = threading.Condition()
         self.setup: Mapping[str, Any] = {}
         self.passed_over = 0  # frames that a newer one replaced before anybody looked
@@ -225,7 +233,8 @@ class _Tap:
         if seen:
             with self._changed:
                 self.passed_over += len(seen) - (self._newest is None)
-                self._newest = seen[-1]
+                self._frames += len(seen)
+                self._newest = self._frames - 1, seen[-1]
                 self._changed.notify_all()
         return samples
 
@@ -233,13 +242,13 @@ class _Tap:
         """As the source's."""
         self._source.close()
 
-    def newest(self, timeout_s: float) -> Sample | None:
-        """What has the newest frame that nobody has taken yet."""
+    def newest(self, timeout_s: float) -> tuple[int, Sample] | None:
+        """What has the newest frame that nobody has taken yet, behind the number of frames that came before it."""
         with self._changed:
             if self._newest is None:
                 self._changed.wait(timeout_s)
-            sample, self._newest = self._newest, None
-        return sample
+            newest, self._newest = self._newest, None
+        return newest
 
 
 def tof_frame_of(sample: Sample) -> ToFFrame | None:
@@ -247,16 +256,17 @@ def tof_frame_of(sample: Sample) -> ToFFrame | None:
     return next((message for message in sample.messages if isinstance(message, ToFFrame)), None)
 
 
-def live_frame(sample: Sample, drive_side: str = "") -> LiveFrame | None:
-    """The frame of a sample, with the side of the wheel where that is known; None where it holds none."""
+def live_frame(sample: Sample, number: int, drive_side: str = "") -> LiveFrame | None:
+    """The frame of a sample as number so and so, with the side of the wheel where that is known; None where it holds none."""
     image = tof_frame_of(sample)
     if image is None:
         return None
+    taken_ns = sample.host_ns if sample.device_ns is None else sample.device_ns
     batch = batch_of(image)
+    batch["frame"], batch["sync_ns"] = np.array([number]), np.array([taken_ns])
     if drive_side:
         batch["drive_side"] = np.array([drive_side])
-    taken_ns = sample.host_ns if sample.device_ns is None else sample.device_ns
-    return LiveFrame(-1 if sample.sequence is None else sample.sequence, sample.host_ns, batch, taken_ns)
+    return LiveFrame(number, sample.host_ns, batch, taken_ns)
 
 
 def batch_of(image: ToFFrame) -> FrameBatch:

@@ -213,7 +213,7 @@ class Live:
             rate_hz=(len(ended) - 1) / span if span > 0 else 0.0,
             latency=Latency.of(self._latency_ms[since:]),
             models={name: Latency.of(answers.ms[since:]) for name, answers in self._answers.items()},
-            failed={name: answers.failed for name, answers in self._answers.items()},
+            failed={model.name: self._answers[model.name].failed + getattr(model, "failed", 0) for model in self.models},
             causes={name: dict(answers.causes.values()) for name, answers in self._answers.items()},
             unseen={name: dict(answers.unseen.values()) for name, answers in self._answers.items()},
             remarks={name: [*answers.remarks] for name, answers in self._answers.items()},
@@ -221,13 +221,13 @@ class Live:
         )
 
     def predictions(self, model: Predictor) -> Predictions:
-        """All answers of a detector, by the numbers of the frames."""
+        """All answers of a detector, by the numbers of the frames; of a number that a camera gave twice the first."""
         answers = self._answers[model.name]
         name = self._smoothers[0].model_name(model.name) if self._smoothers else model.name
         found = joined([empty_batch(0, len(model.persons), len(model.joints)), *answers.batches])
-        order = np.argsort(np.array(answers.numbers, np.int64), kind="stable")
+        numbers, order = np.unique(np.array(answers.numbers, np.int64), return_index=True)
         return Predictions(
-            **vars(found.map(lambda values: values[order])), frame=np.array(answers.numbers, np.int64)[order],
+            **vars(found.map(lambda values: values[order])), frame=numbers,
             persons=model.persons, joints=model.joints, model=name,
             skeleton=skeleton_of(model).name, joint_definition=getattr(model, "joint_definition", ""),
         )  # fmt: skip

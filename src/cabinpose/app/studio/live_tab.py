@@ -12,6 +12,7 @@ import numpy as np
 from nicegui import run, ui
 
 from cabinpose.app.live.choose import parsed_settings
+from cabinpose.app.models import open_detectors
 from cabinpose.app.studio.canvas import GREY, IMAGE_KEYS, FrameCanvas
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.live_cloud import LiveCloud
@@ -23,7 +24,6 @@ from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.view3d import VIEW_KEYS
 from cabinpose.app.studio.workspace import Workspace
 from cabinpose.core import CabinposeError, ConfigError, Predictor, skeleton_of
-from cabinpose.estimate.remote import open_predictor
 from cabinpose.record.sources import SOURCES, cameras
 from cabinpose.record.sources.tof import adjustable, described
 
@@ -116,7 +116,7 @@ class LiveTab:
             settings = parsed_settings([line.strip() for line in str(self._settings.value or "").splitlines() if line.strip()])
             settings = _with_numbers(settings, {key: self._numbers[key].value for key in _keys_of(str(self._source.value))})
             names = list(self._models.value or ())
-            models: list[Predictor] = await run.io_bound(lambda: [open_predictor(name) for name in names]) or []
+            models: list[Predictor] = await run.io_bound(open_detectors, names) or []
             record = self._workspace.root / f"live-{datetime.now():%Y%m%d-%H%M%S}" if self._recording.value else None  # noqa: DTZ005 - local
             room.session = LiveSession(str(self._source.value), settings, models, within=self._workspace.root, record=record)
         except CabinposeError as error:

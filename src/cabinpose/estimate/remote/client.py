@@ -51,6 +51,7 @@ _TEXT = 300  # characters of a server's own words
 _USUAL_SIZE = (287, 352)
 _RECONNECT_MS = 100
 _AWAY = (grpc.StatusCode.DEADLINE_EXCEEDED, grpc.StatusCode.UNAVAILABLE)
+_NAMES = {"persons": "person_names", "joints": "joint_names"}  # keys of an address, and the tensors that they stand for
 _KEYS = ("timeout_s", "on_error", "images", "persons", "joints", "shared_memory", "max_message_mb")
 
 
@@ -82,18 +83,23 @@ class Address:
         model = unquote(url.path.removeprefix("/"))
         if url.scheme != "grpc" or not host or port is None or not model or "/" in model or url.username or url.fragment:
             raise ConfigError(f"{text} is no address of a model", hint="write grpc://HOST:PORT/MODEL")
-        given = dict(parse_qsl(url.query, keep_blank_values=True))
+        pairs = parse_qsl(url.query, keep_blank_values=True)
+        given = dict(pairs)
+        if len(given) < len(pairs):
+            raise ConfigError(f"{text} sets a key twice", hint="set each key once, with commas between names")
         if unknown := sorted(given.keys() - set(_KEYS)):
             raise unknown_name("key of a model's address", unknown[0], _KEYS)
         for key, allowed in (("on_error", ("stop", "skip")), ("shared_memory", ("on", "off"))):
             if given.get(key, allowed[0]) not in allowed:
                 raise ConfigError(f"{key} cannot be '{given[key]}'", hint=f"{key} is {' or '.join(allowed)}")
         settings: dict[str, Any] = {key: given[key] for key in ("on_error",) if key in given}
-        for key in ("timeout_s", "max_message_mb"):
+        for key, most in (("timeout_s", 10_000.0), ("max_message_mb", 2047.0)):  # beyond which gRPC counts no bytes
             if key in given:
-                settings[key] = _positive(key, given[key])
+                settings[key] = _positive(key, given[key], most)
         for key in ("images", "persons", "joints"):
-            settings[key] = tuple(name for name in given.get(key, "").split(",") if name)
+            settings[key] = names = tuple(name for name in given.get(key, "").split(",") if name)
+            if key != "images" and len({*names}) < len(names):
+                raise ConfigError(f"{key}={given[key]} names one of them twice", hint="name each once, in the tensors' order")
         check_images(settings["images"])
         where = f"[{host}]" if ":" in host else host
         return cls(f"{where}:{port}", model, host, shared_memory=given.get("shared_memory") != "off", **settings)
@@ -108,11 +114,11 @@ def check_images(names: Sequence[str]) -> None:
             raise ConfigError(f"the image {name} is named twice", hint="name each image once")
 
 
-def _positive(key: str, text: str) -> float:
+def _positive(key: str, text: str, most: float) -> float:
     with suppress(ValueError):
-        if 0 < (value := float(text)) <= 1e4:
+        if 0 < (value := float(text)) <= most:
             return value
-    raise ConfigError(f"{key} cannot be '{text}'", hint=f"{key} is a number above 0, up to 10000")
+    raise ConfigError(f"{key} cannot be '{text}'", hint=f"{key} is a number above 0, up to {most:g}")
 
 
 class RemotePredictor:
@@ -161,6 +167,7 @@ class RemotePredictor:
         )
         self._stub = service_pb2_grpc.GRPCInferenceServiceStub(self._channel)
         self._region: FrameRegion | None = None
+        self._asked = False
         try:
             size = self._look()
             self._shares = self._address.shared_memory and _is_loopback(self._address.host) and self._offers_regions()
@@ -199,8 +206,8 @@ class RemotePredictor:
         stamp = int(frames["sync_ns"][index]) if "sync_ns" in frames else None
         try:
             arrays = self._inputs(frames, index)
-            answer = self._infer(arrays, number, stamp, self._address.timeout_s)
-            return self._completed(pose_batch(answer, self.persons, self.joints), frames, index)
+            answer = self._infer(arrays, number, stamp)
+            return self._completed(self._poses(answer), frames, index)
         except (RemoteError, TensorError) as error:
             message = f"{self._label}: frame {number}: {str(error).removeprefix(f'{self._label}: ')}"
             if self._address.on_error == "stop":
@@ -233,6 +240,17 @@ class RemotePredictor:
             arrays[spec.name] = np.ascontiguousarray(values, DTYPES[spec.datatype])
         return arrays
 
+    def _poses(self, answer: Arrays) -> PoseBatch:
+        """The joints of an answer. Raises TensorError where it is of several frames, or of others than the first answer was."""
+        for key, tensor in _NAMES.items():
+            given, known = tuple(answer.get(tensor, ())), getattr(self, key)
+            if given and not getattr(self._address, key) and given != known:
+                raise TensorError(f"its {key} are {', '.join(given)}, and were {', '.join(known)}")
+        found = pose_batch(answer, self.persons, self.joints)
+        if len(found.score) != 1:
+            raise TensorError(f"the answer is of {len(found.score)} frames, not of one")
+        return found
+
     def _completed(self, found: PoseBatch, frames: FrameBatch, index: int) -> PoseBatch:
         """An answer in 3D alone gets its 2D by projection."""
         if not np.isnan(found.joints_2d).all() or np.isnan(found.joints_3d).all():
@@ -244,7 +262,7 @@ class RemotePredictor:
 
     def _look(self) -> tuple[int, int]:
         """Check and choose the model's tensors, and return the size (height, width) of frames that it wants, or the usual one."""
-        request = service_pb2.ModelMetadataRequest(name=self.name)
+        request = service_pb2.ModelMetadataRequest(name=self._address.model)
         metadata = self._call(self._stub.ModelMetadata, request, _LOOK_S, wait_for_ready=True)
         spoken = metadata.platform.removeprefix(PLATFORM)
         if metadata.platform.startswith(PLATFORM) and spoken != str(VERSION):
@@ -293,23 +311,24 @@ class RemotePredictor:
             blank[spec.name] = np.full(shape, np.nan if dtype.kind == "f" else 0, dtype)
         empty = cast("FrameBatch", blank | {"camera_k": k, "camera_dist": np.zeros(5)})
         try:
-            answer = self._infer(self._inputs(empty, 0), None, None, max(_FIRST_ANSWER_S, self._address.timeout_s))
-            for name in ("person_names", "joint_names"):
-                given = tuple(answer.get(name, ()))
-                key = name.replace("_name", "")
+            answer = self._infer(self._inputs(empty, 0), None, None)
+            for key, tensor in _NAMES.items():
+                given = tuple(answer.get(tensor, ()))
                 if not given and not getattr(self, key):
                     self._fail(f"does not name its {key}", f"name them behind the address: ?{key}=... with commas between")
                 setattr(self, key, getattr(self, key) or given)
-            pose_batch(answer, self.persons, self.joints)
+            self._poses(answer)
         except TensorError as error:
             self._fail(f"answers an empty frame wrongly: {error}", "docs/algorithms.md has the tensors")
 
     # ------------------------------------------------------------------------------------------------------- asking
 
-    def _infer(self, arrays: Arrays, number: int | None, stamp: int | None, timeout: float) -> dict[str, NDArray[Any]]:
+    def _infer(self, arrays: Arrays, number: int | None, stamp: int | None) -> dict[str, NDArray[Any]]:
         """The outputs by name. Raises RemoteError and TensorError."""
+        timeout = self._address.timeout_s if self._asked else max(_FIRST_ANSWER_S, self._address.timeout_s)
+        self._asked = True
         ident = "empty" if number is None else str(number)
-        request = service_pb2.ModelInferRequest(model_name=self.name, id=ident)
+        request = service_pb2.ModelInferRequest(model_name=self._address.model, id=ident)
         if number is not None:
             request.parameters["frame"].int64_param = number
         if stamp is not None:
@@ -345,6 +364,8 @@ class RemotePredictor:
                 message = f"the server cannot be reached ({details})"
             else:
                 message = f"the server says {code.name}: {details}"
+                if code is grpc.StatusCode.RESOURCE_EXHAUSTED:
+                    message += " (the limit of this side is max_message_mb behind the address)"
             hint = "is the server running, and is that its address?" if code in _AWAY else "see what the server prints"
             raise RemoteError(f"{self._label}: {message}", hint=hint) from error
 
