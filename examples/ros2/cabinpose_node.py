@@ -53,6 +53,8 @@ class CabinposeNode(Node):
         super().__init__("cabinpose")
         self.model = cabinpose.load_model(self.declare_parameter("model", "in_car").value)
         self.model.drive_side = self.declare_parameter("drive_side", "").value
+        if self.model.drive_side not in ("", "left", "right"):
+            raise ValueError(f"drive_side is left or right, not {self.model.drive_side!r}")
         self.camera: CameraInfo | None = None
         self.people = self.create_publisher(MarkerArray, "~/people", 1)
         self.pictures = self.create_publisher(Image, "~/image", 1)

@@ -87,6 +87,14 @@ def test_nothing_is_overwritten(car: Path, folder: Path, run: Run) -> None:
     assert run("car", "check", car, "--out", car.parent / "check")[0] == 2
 
 
+def test_a_mesh_is_not_replaced_by_its_yaml(folder: Path, run: Run) -> None:
+    mesh = (folder / "suv.glb").read_bytes()
+    code, out, err = run("car", "init", folder / "suv.glb", "--out", folder / "suv.glb", "--overwrite")
+    assert (code, out) == (2, "")
+    assert err.endswith("hint: let --out end in .yaml\n")
+    assert (folder / "suv.glb").read_bytes() == mesh
+
+
 def test_a_mesh_without_seats_fails_in_words(tmp_path: Path, run: Run) -> None:
     trimesh.creation.box((3.0, 1.6, 1.2)).export(tmp_path / "box.ply")
     code, out, err = run("car", "init", tmp_path / "box.ply", "--out", tmp_path / "box.yaml")

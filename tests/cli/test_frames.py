@@ -54,6 +54,8 @@ def test_one_image(run: Run, own: tuple[Path, Path], tmp_path: Path) -> None:
         (("predict", "{own}", "--camera", "{camera}", "--model", "in_car", "--out", "{out}"), "cabinpose models --reads depth"),
         (("predict", "{dataset}", "--unit", "mm", "--model", "paf", "--out", "{out}"), "--unit says nothing of a dataset"),
         (("evaluate", "{own}", "--camera", "{camera}", "--model", "paf"), "is anybody labelled"),
+        (("models", "--reads", "deph"), "unknown image 'deph'"),
+        (("models", "in_car", "--reads", "depth"), "--reads chooses among the packaged models"),
     ],
 )
 def test_mistakes(
@@ -79,3 +81,14 @@ def test_models_by_what_they_read(run: Run) -> None:
     names = {line.split()[0] for line in out.splitlines()}
     assert {"paf", "room"} <= names
     assert not {"in_car", "lift"} & names
+    assert run("models", "--reads", "nir") == (0, "", "no packaged model does with nir alone\n")
+
+
+def test_frames_that_do_not_follow_each_other_are_not_smoothed_in_silence(
+    run: Run, own: tuple[Path, Path], tmp_path: Path
+) -> None:
+    folder, camera = own
+    words = ("predict", folder, "--camera", camera, "--model", "paf", "--smooth", "one-euro", "--out", tmp_path / "a.jsonl")
+    code, _, err = run(*words)
+    assert code == 0
+    assert "nothing was smoothed: no frame follows another" in err

@@ -53,6 +53,8 @@ def test_train_and_export(
     assert Image.open(out / "curves.png").size == (960, 2 * (260 + 28))
     assert run("export", "onnx", best, "--out", str(tmp_path / "model.onnx"), "--json") == 0
     assert json.loads(capsys.readouterr().out.strip().splitlines()[-1])["difference"] <= 1e-4
+    assert run("export", "onnx", best, "--out", best, "--overwrite") == 2  # it would replace the checkpoint
+    assert f"{best} is the model itself" in capsys.readouterr().err
 
 
 def test_a_run_learns_from_several_datasets(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -95,6 +95,10 @@ def test_serve_takes_what_it_is_told(process: Callable[..., Any]) -> None:
     assert (told["answered"], told["refused"]) == (0, 0)
 
 
+def test_no_time_to_serve_is_refused(run: Run) -> None:
+    assert "--seconds nan is no time to serve" in run("serve", "room", "--port", "0", "--seconds", "nan").err
+
+
 def test_failures_are_told_and_counted(algorithm: Any, run: Run, dataset: Path, tmp_path: Path) -> None:
     _, address = algorithm(lambda r: {} if r.id == "1" else good_answer(r))
     stopped = run("predict", dataset, "--model", address, "--out", tmp_path / "a.jsonl")

@@ -292,6 +292,17 @@ def test_shared_memory_is_for_this_machine(server: RunningServer, peer: str, her
     assert server._service._shares(SimpleNamespace(peer=lambda: peer)) is here
 
 
+def test_any_name_makes_an_address(witness: Witness, frames: FrameBatch) -> None:
+    running = start_server(witness, name="a/b c?d")
+    try:
+        assert running.address.endswith("/a%2Fb%20c%3Fd")
+        remote = open_predictor(running.address)
+        assert remote.name == "a/b c?d"
+        assert remote.predict(frames).joints_3d.shape[0] == 3
+    finally:
+        running.stop()
+
+
 def test_a_port_is_had_once(server: RunningServer, witness: Witness) -> None:
     with pytest.raises(RemoteError, match="cannot listen") as caught:
         start_server(witness, port=server.port)

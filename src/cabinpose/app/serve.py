@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, cast
+from urllib.parse import quote
 
 import grpc
 import numpy as np
@@ -257,6 +258,7 @@ def start_server(
     try:
         bound = server.add_insecure_port(f"{where}:{port}")
     except RuntimeError:
-        raise RemoteError(f"cannot listen on {where}:{port}", hint="another --port, or 0 for a free one") from None
+        hint = "another --port, or 0 for a free one; --host is an address of this machine"
+        raise RemoteError(f"cannot listen on {where}:{port}", hint=hint) from None
     server.start()
-    return RunningServer(f"grpc://{where}:{bound}/{name or predictor.name}", bound, server, service)
+    return RunningServer(f"grpc://{where}:{bound}/{quote(name or predictor.name, safe='')}", bound, server, service)

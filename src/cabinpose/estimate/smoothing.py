@@ -58,10 +58,12 @@ class Smoother(ABC):
         What the smoothed joints are called by.
     lag
         Frames by which an answer comes later than its frame.
+    followed
+        Frames so far that followed another: the others were given back as they came.
     """
 
     def __init__(self, name: str, lag: int) -> None:
-        self.name, self.lag = name, lag
+        self.name, self.lag, self.followed = name, lag, 0
         self._before: tuple[int, int] | None = None  # time and sequence of the last frame
         self._point = self._age_s = np.zeros(0)  # (P, J, 5) where joints were seen last, and (P, J) how long ago
         self._given: deque[PoseBatch] = deque()  # frames without an answer yet
@@ -117,6 +119,7 @@ class Smoother(ABC):
             )
         step_s = 1e-9 * (at_ns - self._before[0]) if self._before and self._before[1] == sequence else np.inf
         broken = not 0.0 < step_s <= LONGEST_GAP_S
+        self.followed += not broken
         age_s = np.full(found.shape, np.inf) if broken else self._age_s + step_s
         scale = _metres_per_px(points)
         fresh = (age_s > LONGEST_GAP_S) | (there != np.isfinite(self._point)).any(axis=-1)

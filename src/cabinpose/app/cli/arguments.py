@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -102,6 +103,15 @@ class Smooths(PrintsJson):
                 raise ConfigError("--lag says nothing without --smooth", hint="give --smooth fixed-lag as well")
             return []
         return [make_smoother(self.smooth, self.lag) for _ in range(count)]
+
+
+def tell_unsmoothed(smoothers: Sequence[Smoother]) -> None:
+    """Say on stderr that no frame followed another, where that is so of some that were given to smoothers."""
+    if smoothers and not any(smoother.followed for smoother in smoothers):
+        from cabinpose.estimate import LONGEST_GAP_S
+
+        gap = f"of one sequence, and at most {LONGEST_GAP_S:g} s later"
+        print(f"nothing was smoothed: no frame follows another ({gap})", file=sys.stderr)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,6 +71,8 @@ def _init(command: CarInit) -> None:
     from cabinpose.app.car_check import point_text
     from cabinpose.scene.cabin import draft_car_file
 
+    if command.out.suffix not in (".yaml", ".yml"):  # a mesh, with --overwrite, would be gone
+        raise ConfigError(f"{command.out} is no name of a YAML file", hint="let --out end in .yaml")
     _refuse_existing(command.out, command.overwrite)
     with progress() as report:
         report.phase("looking for seats")

@@ -162,6 +162,8 @@ def _export_recording(command: ExportRecording) -> None:
 def _export_model(command: ExportModel) -> None:
     if command.checkpoint.suffix == ".npz":
         raise ConfigError(f"{command.checkpoint} holds no network", hint="it is the model already: give it to --model")
+    if command.out.resolve() == command.checkpoint.resolve():
+        raise ConfigError(f"{command.checkpoint} is the model itself", hint="give another file with --out")
     require("train")
     with progress() as report:
         report.phase("exporting and comparing")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, Smooths, dataset_path, placed, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, Smooths, dataset_path, placed, several, tell_unsmoothed
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
@@ -102,6 +102,7 @@ def run(command: LiveCommand) -> int:
         finally:
             feed.stop()
     status = live.status(whole=True)
+    tell_unsmoothed(smoothers)
     if command.predictions is not None:
         _write_predictions(command, live)
     reports = _reports(command, live)

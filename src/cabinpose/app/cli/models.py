@@ -30,6 +30,7 @@ def run(command: Models) -> None:
     """Print one model's description and card, or a line for each packaged model."""
     import yaml
 
+    from cabinpose.core import IMAGES, ConfigError, unknown_name
     from cabinpose.estimate import describe_model, packaged_models
 
     packaged = packaged_models()
@@ -37,10 +38,17 @@ def run(command: Models) -> None:
     if named in ("list", "ls"):
         print("`cabinpose models` alone lists them", file=sys.stderr)
         named = None
+    if command.reads and named is not None:
+        raise ConfigError("--reads chooses among the packaged models, and one is named", hint="leave one of them out")
+    for image in command.reads:
+        if image not in IMAGES:
+            raise unknown_name("image", image, IMAGES)
     chosen = packaged if named is None else {"": packaged.get(named, Path(named))}
     described = {name: describe_model(path) for name, path in chosen.items()}
-    if command.reads and command.model is None:
+    if command.reads:
         described = {name: each for name, each in described.items() if set(each["inputs"]) <= {*command.reads}}
+    if command.reads and not described:
+        print(f"no packaged model does with {', '.join(command.reads)} alone", file=sys.stderr)
     if command.as_json:
         print_json(described.get("", described))
     elif named is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, Smooths, several
+from cabinpose.app.cli.arguments import Maybe, RunsModels, SelectsFrames, Smooths, several, tell_unsmoothed
 from cabinpose.app.cli.frames import FramesArgument, ReadsFrames, as_dataset
 from cabinpose.app.cli.output import print_json, printable, progress, tell_failed
 from cabinpose.core import ConfigError, check_output
@@ -105,6 +105,7 @@ def _run(command: Predict, folder: Path) -> None:
         for smoother in command.smoothers(1):
             smooth = smoothed(predictions, dataset["sync_ns"].values, dataset["sequence"].values, smoother)
             predictions = replace(smooth, model=smoother.model_name(predictions.model))
+            tell_unsmoothed([smoother])
         write_predictions(command.out, predictions, overwrite=command.overwrite)
         told = {"unseen": predictions.unseen, "remarks": predictions.remarks}
         for words in unseen_words(predictions.unseen, count):

@@ -50,6 +50,8 @@ def run(command: Serve) -> None:
 
     if not 0 <= command.port <= 65535 or not 1 <= command.max_message_mb <= 1024:
         raise ConfigError("--port is from 0 to 65535, --max-message-mb from 1 to 1024", hint="leave them out for 8001 and 64")
+    if command.seconds is not None and not command.seconds > 0:  # not a number as well
+        raise ConfigError(f"--seconds {command.seconds:g} is no time to serve", hint="give --seconds more than 0")
     need_protocol()
     from cabinpose.app.models import tell_drive_side
     from cabinpose.app.serve import start_server

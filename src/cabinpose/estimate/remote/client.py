@@ -80,7 +80,7 @@ class Address:
             host, port = url.hostname, url.port
         except ValueError as error:
             raise ConfigError(f"{text} is no address of a model: {error}", hint="write grpc://HOST:PORT/MODEL") from None
-        model = unquote(url.path.removeprefix("/"))
+        model = url.path.removeprefix("/")
         if url.scheme != "grpc" or not host or port is None or not model or "/" in model or url.username or url.fragment:
             raise ConfigError(f"{text} is no address of a model", hint="write grpc://HOST:PORT/MODEL")
         pairs = parse_qsl(url.query, keep_blank_values=True)
@@ -102,7 +102,7 @@ class Address:
                 raise ConfigError(f"{key}={given[key]} names one of them twice", hint="name each once, in the tensors' order")
         check_images(settings["images"])
         where = f"[{host}]" if ":" in host else host
-        return cls(f"{where}:{port}", model, host, shared_memory=given.get("shared_memory") != "off", **settings)
+        return cls(f"{where}:{port}", unquote(model), host, shared_memory=given.get("shared_memory") != "off", **settings)
 
 
 def check_images(names: Sequence[str]) -> None:
