@@ -371,3 +371,37 @@ def test_parts_of_a_mesh_are_called_the_same_at_every_reading(tmp_path: Path) ->
     named = [[mesh.name for mesh in read_mesh(tmp_path / "model.gltf", up_axis="z", front_axis="x").meshes] for _ in range(3)]
     assert [name.split("/")[0] for name in named[0]] == ["body_1", "body_2", "body_3"]
     assert named[1:] == named[:1] * 2
+
+
+def whole(cabin: Cabin, folder: Path) -> dict[str, Any]:
+    """What describes a car whose mesh is written beside it."""
+    scene_of(cabin, GLTF_FROM_VEHICLE, 1.0).export(folder / "car.glb")
+    return description(cabin, "car.glb")
+
+
+@pytest.mark.parametrize(
+    ("kept", "of"), [(("driver", "front_passenger"), "the front passenger"), (("driver",), "the centre line")]
+)
+def test_a_driver_on_the_other_side_is_refused(sedan: Cabin, tmp_path: Path, kept: tuple[str, ...], of: str) -> None:
+    """Datasets would say that the wheel is there, and models would exchange the front row by it."""
+    told = whole(sedan, tmp_path)
+    told["seats"] = {slot: seat for slot, seat in told["seats"].items() if slot in kept}
+    assert load_cabin(write(tmp_path, told)).drive_side == "left"
+    with pytest.raises(ConfigError, match=f"drive_side is right, and the driver's .* to the left of {of}") as caught:
+        load_cabin(write(tmp_path, told | {"drive_side": "right"}))
+    assert "drive_side: left" in str(caught.value.hint)
+
+
+def test_a_rule_that_takes_nothing_is_told(sedan: Cabin, tmp_path: Path) -> None:
+    told = whole(sedan, tmp_path)
+    far = {"pattern": "*", "within": [[9.0, 9.0, 9.0], [10.0, 10.0, 10.0]], "label": "seat"}
+    told["rules"] += [{"pattern": "*cushoin*", "hide": True}, far, {"pattern": "*headlining*", "hide": True}]
+    warnings = [words for words in load_cabin(write(tmp_path, told)).warnings if words.startswith("the rule")]
+    assert [words.split("'")[1] for words in warnings] == ["*cushoin*", "*"]
+    assert "in its box" in warnings[1]
+
+
+def test_a_view_of_its_own_eye_is_refused(sedan: Cabin, tmp_path: Path) -> None:
+    told = whole(sedan, tmp_path) | {"views": {"driver": {"eye": [-0.4, 0, 0.9], "target": [-0.4, 0, 0.9]}}}
+    with pytest.raises(ConfigError, match="the view driver coincide"):
+        load_cabin(write(tmp_path, told))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from car_meshes import write_car
 from PIL import Image
 
 from cabinpose.app.car_check import check_car, open_directions
-from cabinpose.scene.cabin import build_cabin
+from cabinpose.app.view.car import draw_car
+from cabinpose.scene.cabin import ViewAnchor, build_cabin
 from cabinpose.scene.cabin.car_draft import draft_car_file
+from cabinpose.scene.sensor import sensor_by_name
 
 Run = Callable[..., Any]
 
@@ -159,6 +162,14 @@ def test_points_that_the_mesh_contradicts_are_told(
     car.write_text(yaml.safe_dump(content), encoding="utf-8")
     monkeypatch.setattr("cabinpose.app.car_check.POSES", 0)
     assert [w for w in check_car(car).warnings if words in w]
+
+
+def test_a_view_that_looks_straight_down_is_drawn() -> None:
+    cabin = build_cabin("suv")
+    below = replace(cabin, views={"driver": ViewAnchor(np.array((-0.6, 0.0, 1.0)), np.array((-0.6, 0.0, 0.0)))})
+    drawn = [draw_car(each, (), sensor_by_name("pico_monstar_105/5").camera, {}, (), None) for each in (cabin, below)]
+    assert drawn[0].shape == drawn[1].shape
+    assert (drawn[0] != drawn[1]).any()
 
 
 def test_a_shell_that_is_not_there_is_told() -> None:

@@ -53,6 +53,7 @@ def test_one_image(run: Run, own: tuple[Path, Path], tmp_path: Path) -> None:
         (("predict", "{own}", "--model", "paf", "--out", "{out}"), "give --camera FILE"),
         (("predict", "{own}", "--camera", "{camera}", "--model", "in_car", "--out", "{out}"), "cabinpose models --reads depth"),
         (("predict", "{dataset}", "--unit", "mm", "--model", "paf", "--out", "{out}"), "--unit says nothing of a dataset"),
+        (("predict", "{nix}", "--unit", "mm", "--model", "paf", "--out", "{out}"), "holds no dataset"),
         (("evaluate", "{own}", "--camera", "{camera}", "--model", "paf"), "is anybody labelled"),
         (("models", "--reads", "deph"), "unknown image 'deph'"),
         (("models", "in_car", "--reads", "depth"), "--reads chooses among the packaged models"),
@@ -61,7 +62,7 @@ def test_one_image(run: Run, own: tuple[Path, Path], tmp_path: Path) -> None:
 def test_mistakes(
     run: Run, own: tuple[Path, Path], dataset_folder: Path, tmp_path: Path, words: tuple[str, ...], said: str
 ) -> None:
-    places = {"own": own[0], "camera": own[1], "dataset": dataset_folder, "out": tmp_path / "p.jsonl"}
+    places = {"own": own[0], "camera": own[1], "dataset": dataset_folder, "nix": tmp_path, "out": tmp_path / "p.jsonl"}
     code, out, err = run(*(word.format(**places) for word in words))
     assert (code, out) == (2, "")
     assert said in err

@@ -53,7 +53,7 @@ def as_dataset(path: Path, command: ReadsFrames) -> Iterator[Path]:
     """
     said, form = command.said(), _format_of(path)
     if form is None:
-        if said:
+        if said and (path / "dataset.yaml").exists():  # what is no dataset either, its reader says
             flag = f"--{next(iter(said)).replace('_', '-')}"
             raise ConfigError(f"{flag} says nothing of a dataset, which knows it", hint=f"leave out {flag}")
         yield path

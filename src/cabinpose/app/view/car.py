@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.app.view.draw import amplitude_image, depth_image, depth_range, draw_skeleton, resized, to_view
-from cabinpose.core import Camera, apply, look_at
+from cabinpose.core import Camera, apply
 from cabinpose.scene import LABEL_ID, coarse_labels
 from cabinpose.scene.cabin import SIZES, Cabin, Measure, Seat, SteeringWheel, ViewAnchor
+from cabinpose.scene.sensor import place_camera
 from cabinpose.store import Colour, Image, Strokes, text
 
 Floats = NDArray[np.float64]
@@ -249,7 +250,8 @@ def _wheel(strokes: Strokes, plan: _Plan, wheel: SteeringWheel) -> None:
 
 def _view(strokes: Strokes, plan: _Plan, camera: Camera, view: ViewAnchor) -> None:
     """The eye, its line of sight to the target, and the edges of the field of view in the plane of the picture."""
-    vehicle_from_camera = look_at(view.eye, view.target)
+    no_jitter = np.random.Generator(np.random.Philox(0))
+    vehicle_from_camera = place_camera(view.eye, view.target, rng=no_jitter)  # it may look straight down
     seen = camera.k
     width, height = camera.width / seen[0, 0] / 2, camera.height / seen[1, 1] / 2
     reach = float(np.linalg.norm(view.target - view.eye)) * 1.25

@@ -30,6 +30,8 @@ from cabinpose.scene.cabin.model import (
 from cabinpose.scene.cabin.sizes import UNITS, judged, measured, opposite, places_of
 
 _APART_M = 0.3  # between two seats of a car, at least
+_APART_VIEW_M = 1e-3  # between the eye and the target of a view
+_ASIDE_M = 0.1  # by which the driver sits on a side
 
 
 def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None, *, refuse: bool = True) -> Cabin:
@@ -85,6 +87,9 @@ def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None, *, refuse: 
     rules = [(rule, None if rule.within is None else place.box(*rule.within)) for rule in spec.rules]
     parts, remarks, warnings = mesh_parts(path, file.meshes, rules, groups, h_points, spec.shell_mm / 1000)
     views = {str(name): ViewAnchor(place.point(v.eye), place.point(v.target)) for name, v in spec.views.items()}
+    for name, view in views.items():
+        if not rp.norm(view.target - view.eye) > _APART_VIEW_M:
+            raise ConfigError(f"{path}: the eye and the target of the view {name} coincide", hint="give a target farther away")
     cabin = Cabin(
         spec.name or path.stem,
         spec.drive_side,
@@ -99,6 +104,7 @@ def load_cabin(yaml_path: str | Path, spec: CabinFile | None = None, *, refuse: 
     verdict = judged(measured(cabin), places_of(cabin), steered=wheel is not None, unit=file.unit, front=file.front_axis)
     if verdict.errors and refuse:
         raise ConfigError(f"{path}: {'; '.join(verdict.errors)}", hint=verdict.hint)
+    _check_side(path, spec.drive_side, seats)
     own, no_place = default_views(cabin, frozenset(views))
     told = (*cabin.warnings, *verdict.errors, *verdict.said)
     return replace(cabin, views=own | views, notes=(*notes, *remarks, *no_place), warnings=told)
@@ -117,6 +123,21 @@ def _why_outside(seats: Iterable[Seat], low: Vector, high: Vector, front: str) -
         if np.ptp(points * metres, axis=0).max() > _APART_M and fit(points * metres):
             return f"all seats lie in it if the YAML's points are in {unit}: give them in metres"
     return None
+
+
+def _check_side(path: Path, drive_side: str, seats: Mapping[str, Seat]) -> None:
+    """Raise ConfigError where the driver looks forward and sits on the other side: of the passenger, or of the centre line."""
+    driver, passenger = seats.get("driver"), seats.get("front_passenger")
+    if driver is None or driver.facing_yaw:
+        return
+    to_left = float(driver.design_h_point[1]) - (0.0 if passenger is None else float(passenger.design_h_point[1]))
+    side = "left" if to_left > 0 else "right"
+    if abs(to_left) > _ASIDE_M and side != drive_side:
+        of = "the centre line" if passenger is None else "the front passenger"
+        raise ConfigError(
+            f"{path}: drive_side is {drive_side}, and the driver's H-point is {abs(to_left):.2f} m to the {side} of {of}",
+            hint=f"give drive_side: {side}, or exchange the seats",
+        )
 
 
 class _Placer:

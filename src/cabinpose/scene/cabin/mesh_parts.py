@@ -113,7 +113,9 @@ def mesh_parts(
         Where the rules hide every mesh.
     """
     parts, notes, warnings = [], [], []
+    idle = [rule for rule, _ in rules]
     for mesh, rule, share in _shares(meshes, (*rules, *((rule, None) for rule in COMMON_RULES))):
+        idle = [each for each in idle if each is not rule]
         if rule.hide:
             continue
         name = mesh.name if rule.within is None else f"{mesh.name} ({rule.group})"
@@ -127,6 +129,9 @@ def mesh_parts(
             parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
     if not parts:
         raise MeshError(f"{path}: every mesh is hidden by a rule", hint="leave at least the seats and the floor")
+    for rule in idle:
+        where = "no mesh of such a name" if rule.within is None else "nothing of such a name in its box"
+        warnings.append(f"the rule '{rule.pattern}' takes nothing: there is {where}, or rules before it took it")
     return parts, notes, list(dict.fromkeys(filter(None, warnings)))
 
 
