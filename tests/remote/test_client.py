@@ -339,6 +339,29 @@ def test_shared_memory_survives_a_new_server(frames: FrameBatch, witness: Any) -
         running.stop()
 
 
+def test_a_server_that_fails_keeps_no_region(algorithm: Start, frames: FrameBatch) -> None:
+    """Somebody's server would hold the memory of each, since it knows no other end of it."""
+    known: set[str] = set()
+
+    def register(request: Any, context: Any) -> Any:
+        known.add(request.name)
+        return service_pb2.SystemSharedMemoryRegisterResponse()
+
+    def unregister(request: Any, context: Any) -> Any:
+        known.discard(request.name)
+        return service_pb2.SystemSharedMemoryUnregisterResponse()
+
+    offer = service_pb2.ServerMetadataResponse(extensions=["system_shared_memory"])
+    calls = {"SystemSharedMemoryRegister": register, "SystemSharedMemoryUnregister": unregister}
+    _, address = algorithm(lambda r: 1 / 0, ServerMetadata=lambda request, context: offer, **calls)
+    remote = open_predictor(f"{address}?on_error=skip")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        remote.predict(frames)
+    assert remote.failed == 3
+    assert not known
+
+
 def test_a_region_that_is_refused_is_no_error(algorithm: Start, frames: FrameBatch) -> None:
     offer = service_pb2.ServerMetadataResponse(extensions=["system_shared_memory"])
     service, address = algorithm(ServerMetadata=lambda request, context: offer)

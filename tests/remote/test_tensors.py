@@ -145,6 +145,7 @@ def _answer(**changes: object) -> dict[str, np.ndarray]:
         ({"presence": np.nan}, "lhand of driver: presence is not from 0 to 1"),
         ({"presence": 1.5}, "lhand of driver: presence is not from 0 to 1"),
         ({"presence": -0.1}, "lhand of driver: presence is not from 0 to 1"),
+        ({"score": np.nan}, "lhand of driver: score is not finite"),
         ({"score": np.inf}, "lhand of driver: score is not finite"),
         ({"joints_2d": [np.nan] * 4, "joints_3d": [np.nan] * 6}, "head of driver: presence is above 0 and the position NaN"),
         ({"joints_2d": None, "joints_3d": None}, "neither joints_2d nor joints_3d"),
@@ -156,8 +157,10 @@ def test_answers_that_mean_nothing(changes: dict[str, object], message: str) -> 
 
 
 def test_no_answer_is_an_answer_and_what_is_left_out_is_filled() -> None:
-    nothing = _answer(joints_2d=[np.nan] * 4, joints_3d=[np.nan] * 6, presence=[0, 0])
-    assert np.isnan(pose_batch(nothing, ["driver"], ["head", "lhand"]).joints_2d).all()
+    nothing = _answer(joints_2d=[np.nan] * 4, joints_3d=[np.nan] * 6, presence=[0, 0], score=[np.nan, 2])
+    found = pose_batch(nothing, ["driver"], ["head", "lhand"])
+    assert np.isnan(found.joints_2d).all()
+    assert found.score.tolist() == [[[0, 2]]]  # of what was not found it may be anything, or nothing
     flat = pose_batch(_answer(joints_3d=None, presence=None, score=None), ["driver"], ["head", "lhand"])
     assert np.isnan(flat.joints_3d).all()
     assert flat.presence.tolist() == flat.score.tolist() == [[[1, 1]]]

@@ -341,7 +341,8 @@ class RemotePredictor:
         try:
             response = self._call(self._stub.ModelInfer, request, timeout)
         except RemoteError as error:
-            self._drop_region(tell=False)  # a server that was started anew does not know it
+            # A server that was started anew does not know it; one that failed otherwise would keep it.
+            self._drop_region(tell=_code(error) not in _AWAY)
             if not shared or _code(error) in _AWAY:
                 raise
             request.ClearField("inputs")

@@ -154,6 +154,7 @@ def pose_batch(answer: Arrays, persons: Sequence[str], joints: Sequence[str]) ->
     _refuse(~((presence >= 0) & (presence <= 1)), "presence is not from 0 to 1", persons, joints)
     _refuse((presence > 0) & ~found, "presence is above 0 and the position NaN", persons, joints)
     score = answer.get("score", presence)
+    score = np.where(np.isnan(score) & ~found, np.float32(0), score)  # nothing was found that it could be of
     _refuse(~np.isfinite(score), "score is not finite", persons, joints)
     expected = answer.get("expected_error_m", np.full(shape, np.nan, np.float32))
     _refuse((expected < 0) | np.isinf(expected), "expected_error_m is not a distance", persons, joints)
