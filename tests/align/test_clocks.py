@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
 from cabinpose.align.clocks import host_from_device
+from cabinpose.align.streams import on_host
 from cabinpose.core.errors import AlignmentError
 from cabinpose.signals.clock import ClockMap
+from cabinpose.signals.recorded import Sample, SegmentPoses
+from cabinpose.store.recording import Recording, RecordingWriter, SegmentSeries, segment_series
 
 TRUE = ClockMap(1_700_000_000_123_456_789, 8e-5, 0)
 
@@ -71,3 +76,31 @@ def test_what_is_no_steady_clock_is_refused():
         host_from_device(device * 1000, host)
     with pytest.raises(AlignmentError, match=r"runs -1.9e-03 against"):
         host_from_device((device * 1.002).astype(np.int64), host)
+
+
+def recorded(path: Path, seconds: np.ndarray, device_s: np.ndarray) -> SegmentSeries:
+    """A head that moves by 1 m a second of the host's clock, in the order of arrival."""
+    with RecordingWriter(path) as writer:
+        for i, (host, device) in enumerate(zip(seconds, device_s, strict=True)):
+            head = SegmentPoses("S1", ("Head",), np.array([[host, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0, 0.0]]))
+            writer.write("suit", Sample(i, 10**18 + round(host * 1e9), round(device * 1e9), b"", (head,)))
+    with Recording(path) as recording:
+        return segment_series(recording, "suit", "S1")
+
+
+@pytest.mark.parametrize("began_anew", [12, 20])  # the second recording is longer than the first, or shorter
+def test_a_device_that_is_started_anew_within_a_take_is_refused(tmp_path, began_anew):
+    """MVN counts from 0 again with each of its own recordings: samples of both have the same stamps, and belong to none."""
+    host = np.arange(0, 30, 0.02)
+    series = recorded(tmp_path / "take.mcap", host, np.where(host < began_anew, host, host - began_anew))
+    np.testing.assert_array_equal(series.position_m[:, 0, 0], host)
+    with pytest.raises(AlignmentError, match="suit: its clock went backwards during the take"):
+        on_host(series)
+
+
+def test_samples_that_are_overtaken_are_put_in_their_place(tmp_path):
+    host = np.arange(0, 10, 0.02)
+    device = np.insert(np.delete(host, 100), 149, host[100])  # one comes a second late
+    series = recorded(tmp_path / "take.mcap", host, device)
+    assert (np.diff(series.device_ns) > 0).all()
+    on_host(series)

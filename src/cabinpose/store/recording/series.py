@@ -15,6 +15,7 @@ from cabinpose.store.recording.reader import Recording
 
 Times = NDArray[np.int64]
 M = TypeVar("M", SegmentPoses, Markers)
+_LATEST_NS = 1_000_000_000  # no sample overtakes others by more: the device was started anew
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def segment_series(recording: Recording, source: str, subject: str | None = None
     -------
     SegmentSeries
         A subject's names may change in a take (a prop added): the series has all of them. Samples go by the device's clock, late
-        ones in their place, the second of two with one time left out.
+        ones in their place, the second of two with one time left out. What a device says after it was started anew follows what
+        it said before, so that `device_ns` falls there.
 
     Raises
     ------
@@ -122,9 +124,19 @@ def _rows(recording: Recording, source: str, subject: str | None, kind: type[M])
         several = subject is None and subjects
         what = "several subjects" if several else f"no {kind.__name__}" + (f" of '{subject}'" if subject is not None else "")
         raise RecordingError(f"{source} gives {what}", hint=f"subjects that it gives: {', '.join(map(repr, subjects)) or 'none'}")
-    key = [row[0].device_ns if row[0].device_ns is not None else row[0].host_ns for row in chosen]
+    key = _with_starts([row[0].device_ns if row[0].device_ns is not None else row[0].host_ns for row in chosen])
     order = sorted(range(len(key)), key=key.__getitem__)
     return [chosen[n] for k, n in enumerate(order) if k == 0 or key[n] != key[order[k - 1]]]
+
+
+def _with_starts(time_ns: list[int]) -> list[tuple[int, int]]:
+    """How often a clock had begun anew by each sample, in the order of arrival, and its time."""
+    found: list[tuple[int, int]] = []
+    starts, latest = 0, time_ns[0]
+    for time in time_ns:
+        starts, latest = (starts + 1, time) if latest - time > _LATEST_NS else (starts, max(latest, time))
+        found.append((starts, time))
+    return found
 
 
 def _columns(source: str, rows: list[tuple[Sample, M]], *arrays: str) -> Any:
