@@ -15,17 +15,12 @@ Triple = tuple[float, float, float]
 _LARGEST_SQUARE_M, _LARGEST_RADIUS_M, _FARTHEST_MARKER_M = 0.5, 0.05, 3.0
 
 
-def _check_sizes(square_m: float, radius_m: float, farthest_m: float) -> None:
-    """Raise ValueError for what no board has, which is what millimetres for metres give."""
-    for what, size, most in (
-        ("squares", square_m, _LARGEST_SQUARE_M),
-        ("a marker's radius", radius_m, _LARGEST_RADIUS_M),
-        ("a marker's place", farthest_m, _FARTHEST_MARKER_M),
-    ):
-        if size > most:
-            raise ValueError(
-                f"{what} of {size:g} m, and no board has more than {most:g} m: are they millimetres ({size / 1000:g} m)?"
-            )
+def refuse_larger(what: str, size_m: float, most_m: float, whose: str) -> None:
+    """Raise ValueError for a length beyond what it can be, which is what millimetres for metres give."""
+    if size_m > most_m:
+        raise ValueError(
+            f"{what} of {size_m:g} m, and no {whose} has more than {most_m:g} m: are they millimetres ({size_m / 1000:g} m)?"
+        )
 
 
 class Board(BaseModel):
@@ -53,7 +48,9 @@ class Board(BaseModel):
 
     @model_validator(mode="after")
     def _tells_its_turns(self) -> Self:
-        _check_sizes(self.square_m, self.marker_radius_m, np.abs(self.marker_centres).max(initial=0.0))
+        refuse_larger("squares", self.square_m, _LARGEST_SQUARE_M, "board")
+        refuse_larger("a marker's radius", self.marker_radius_m, _LARGEST_RADIUS_M, "board")
+        refuse_larger("a marker's place", float(np.abs(self.marker_centres).max(initial=0.0)), _FARTHEST_MARKER_M, "board")
         if (self.columns + self.rows) % 2 == 0:
             raise ValueError("one of columns and rows has to be odd, the other even: such a board looks different upside down")
         return self

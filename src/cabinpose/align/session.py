@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cabinpose.align.board import Board
+from cabinpose.align.board import Board, refuse_larger
 from cabinpose.align.boardtake import BoardViews, board_views
 from cabinpose.align.bundle import BoardSightings, refine_camera_from_world
 from cabinpose.align.calibration import (
@@ -47,6 +48,7 @@ F64 = NDArray[np.float64]
 _GAP_S = 0.05
 _HEADING_SPAN_S = 1.0  # in which the suit's heading counts as still
 _PIVOT_SPAN_S = 1.5  # in which the trunk of somebody who sits counts as still
+_FARTHEST_C1_M, _LONGEST_HAND_M, _LARGEST_ROOM_M = 0.5, 0.25, 50.0  # from the cap; from wrist to finger base; of a laboratory
 _GREATEST_LAG_S = 0.5  # on the host's axis: how much the latency of two sources may differ by
 
 
@@ -74,6 +76,21 @@ class SubjectSession(_Model):
     ] = "n-pose"
     arms_off_deg: Annotated[float, Field(description="by which the arms of the N-pose hang off the vertical, deg")] = 0.0
 
+    @model_validator(mode="after")
+    def _of_a_person(self) -> Self:
+        if self.head_offset_m is not None:
+            refuse_larger("head_offset_m", math.hypot(*self.head_offset_m), _FARTHEST_C1_M, "cap")
+        for hand, side in zip(self.hands_m, (1, -1), strict=True):
+            refuse_larger("hands_m", math.hypot(*hand), _LONGEST_HAND_M, "hand")
+            if side * hand[1] <= 0:
+                raise ValueError("hands_m: the left finger base lies at +y in its hand segment, the right one at -y")
+        for key in ("pose_truth", "arms_off_deg"):
+            if self.pose_take is None and key in self.model_fields_set:
+                raise ValueError(f"{key} says nothing without pose_take, the recording of the pose")
+        if self.pose_truth == "optical" and "arms_off_deg" in self.model_fields_set:
+            raise ValueError("arms_off_deg is of the N-pose; the optical model of the body knows where the arms are")
+        return self
+
 
 class Session(_Model):
     """What a rig is calibrated from."""
@@ -87,6 +104,19 @@ class Session(_Model):
     pendulum_take: Annotated[Path, Field(description="recording of the swinging marker")]
     subjects: Annotated[dict[str, SubjectSession], Field(description="by subject code")] = Field(default_factory=dict)
     vehicle_from_world: Annotated[Rigid | None, Field(description="where the car stands in the optical world, if known")] = None
+
+    @model_validator(mode="after")
+    def _in_one_room(self) -> Self:
+        if self.vehicle_from_world is not None:
+            away = math.hypot(*(row[3] for row in self.vehicle_from_world[:3]))
+            refuse_larger("a translation of vehicle_from_world", away, _LARGEST_ROOM_M, "room")
+        return self
+
+    @property
+    def recordings(self) -> tuple[Path, ...]:
+        """All that it names."""
+        people = (take for subject in self.subjects.values() for take in (subject.take, subject.pose_take))
+        return (self.board_take, self.pendulum_take, *(take for take in people if take is not None))
 
     @classmethod
     def load(cls, path: Path) -> Session:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, several
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, refuse_inputs, several
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError, DriveSide
@@ -63,7 +63,10 @@ def run(command: Align) -> None:
 
     if not command.recordings:
         raise ConfigError("there is nothing to align", hint="name one or more recordings")
+    if twice := [path for number, path in enumerate(command.recordings) if path in command.recordings[:number]]:
+        raise ConfigError(f"{twice[0]} is named twice", hint="its frames would be twice in the dataset; name it once")
     check_new_dataset(command.out, overwrite=command.overwrite)
+    refuse_inputs("--report", command.report, command.calibration, *command.recordings)
     if command.report is not None and command.report.exists() and not command.overwrite:
         raise ConfigError(f"{command.report} exists", hint="--overwrite replaces it, or give another file with --report")
     calibration = Calibration.load(command.calibration)

@@ -193,6 +193,12 @@ def refuse_existing(folder: Path | None, *names: str, overwrite: bool) -> None:
         raise DatasetError(f"{folder} already has {' and '.join(there)}", hint="--overwrite replaces them")
 
 
+def refuse_inputs(flag: str, out: Path | None, *inputs: Path) -> None:
+    """ConfigError where a file to write is one that the command reads, which it would replace."""
+    if out is not None and out.exists() and any(each.exists() and out.samefile(each) for each in inputs):
+        raise ConfigError(f"{out} is what is read, and would be lost", hint=f"give another file with {flag}")
+
+
 @contextmanager
 def no_empty_folder(folder: Path) -> Iterator[None]:
     """A folder that is made within the block and is empty at an error goes."""

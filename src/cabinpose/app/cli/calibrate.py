@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import PrintsJson
+from cabinpose.app.cli.arguments import PrintsJson, refuse_inputs
 from cabinpose.app.cli.output import print_json, print_rows, printable, progress
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError
+from cabinpose.core import ConfigError, check_output
 
 if TYPE_CHECKING:
     from cabinpose.align import Calibrated
@@ -44,9 +44,12 @@ def run(command: Calibrate) -> None:
 
     if command.out.exists() and not command.overwrite:
         raise ConfigError(f"{command.out} exists", hint="--overwrite replaces it, or give another file with --out")
+    session = Session.load(command.session)
+    refuse_inputs("--out", command.out, command.session, *session.recordings)
+    check_output(command.out, parents=False)
     with progress() as report:
         report.phase("calibrating")
-        found = calibrate(Session.load(command.session))
+        found = calibrate(session)
     found.calibration.save(command.out)
     if command.as_json:
         told = {"warnings": found.warnings} if found.warnings else {}
