@@ -126,6 +126,12 @@ def test_the_check_says_what_is_missing(tmp_path: Path, rig: Path, run: Run) -> 
 def test_what_record_refuses(tmp_path: Path, rig: Path, run: Run) -> None:
     assert "--out" in run("record", "--config", rig).err
     assert "more than 0" in run("record", "--config", rig, "--out", tmp_path / "a.mcap", "--duration", "-1").err
+    assert "more than 0" in run("record", "--config", rig, "--out", tmp_path / "a.mcap", "--duration", "nan").err
+    assert "no name of a recording" in run("record", "--config", rig, "--out", tmp_path / "a", "--duration", "1").err
+    assert "no name of a recording" in run("record", "--config", rig, "--out", tmp_path / "a", "--check").err
+    assert "there is no folder" in run("record", "--config", rig, "--out", tmp_path / "none" / "a.mcap").err
+    assert "no name of a recording" in run("recover", tmp_path / "a.mcap", "--out", tmp_path / "fixed").err
+    assert [path.name for path in tmp_path.iterdir()] == [rig.name]
 
 
 def test_info_tells_of_all_damage(tmp_path: Path, run: Run) -> None:

@@ -31,6 +31,12 @@ NUMBERED = {"kind": "numbered"}
         ({"sources": {"take": NUMBERED}}, ["'take' is no name"]),
         ({"sources": {"a": NUMBERED}, "take": {"subjects": [{"code": "Anna"}]}}, ["a code has a digit"]),
         ({"sources": {"a": NUMBERED}, "take": {"subjects": [{"code": "S1", "seat": "roof"}]}}, ["rear_left"]),
+        ({"sources": {"a": {"kind": "mvn", "subjects": {0: "S1", 1: "S1"}}}}, ["sources.a.subjects", "two are called S1"]),
+        ({"sources": {"a": {"kind": "vicon", "subjects": {"Anna": "S1", "Ben": "S1"}}}}, ["two are called S1"]),
+        (
+            {"sources": {"a": NUMBERED}, "take": {"subjects": [{"code": c, "seat": "driver"} for c in ("S1", "S2")]}},
+            ["two subjects of the take sit on driver"],
+        ),
         ([], ["mapping"]),
         ({"sources": {"a": [1]}}, ["sources.a"]),
     ],

@@ -294,6 +294,10 @@ def test_check_says_what_is_missing() -> None:
         source = ViconSource("v", ViconSettings(port=emulator.address[1]))
         assert source.check() == []
         assert source.counts == Counts()
+        named = ViconSettings(port=emulator.address[1], subjects={"S01": "S07", "Anna": "S08"})
+        (problem,) = ViconSource("v", named).check()
+        assert "tracks no Anna" in problem
+        assert "it has: S01" in problem
     (problem,) = ViconSource("v", ViconSettings(port=emulator.address[1])).check()
     assert "refused" in problem
     empty = MarkerMotion(100.0, (), np.zeros((10, 0, 3)))

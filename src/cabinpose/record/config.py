@@ -124,12 +124,20 @@ def parse_rig(data: Any, text: str = "", *, base: Path = Path()) -> Rig:
     """Check plain data; relative paths in the settings of sources are taken from `base`."""
     file = _checked(RigFile, data)
     plans = tuple(_plan(name, dict(settings), base) for name, settings in file.sources.items())
-    return Rig(file.take, file.storage, plans, text)
+    return Rig(_seated(file.take), file.storage, plans, text)
 
 
 def load_take(path: Path) -> Take:
     """Read and check a file with a take alone. Raises ConfigError."""
-    return _checked(Take, read_yaml(path, hint="docs/recording.md says what a take is"))
+    return _seated(_checked(Take, read_yaml(path, hint="docs/recording.md says what a take is")))
+
+
+def _seated(take: Take) -> Take:
+    """The take. Raises ConfigError for two people on one seat; recordings from before may have them."""
+    seats = [subject.seat for subject in take.subjects if subject.seat is not None]
+    if twice := [seat for seat in seats if seats.count(seat) > 1]:
+        raise ConfigError(f"two subjects of the take sit on {twice[0]}", hint="give each a `seat` of their own")
+    return take
 
 
 def _plan(name: str, settings: dict[str, Any], base: Path) -> SourcePlan:

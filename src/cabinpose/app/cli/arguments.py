@@ -193,6 +193,12 @@ def refuse_existing(folder: Path | None, *names: str, overwrite: bool) -> None:
         raise DatasetError(f"{folder} already has {' and '.join(there)}", hint="--overwrite replaces them")
 
 
+def recording_name(flag: str, out: Path) -> None:
+    """ConfigError for a name by which nothing knows a recording again: not to read it, and not to erase whom it shows."""
+    if out.suffix != ".mcap":
+        raise ConfigError(f"{out} is no name of a recording", hint=f"{flag} FILE.mcap")
+
+
 def refuse_inputs(flag: str, out: Path | None, *inputs: Path) -> None:
     """ConfigError where a file to write is one that the command reads, which it would replace."""
     if out is not None and out.exists() and any(each.exists() and out.samefile(each) for each in inputs):

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, placed
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, placed, recording_name
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_rows
 from cabinpose.app.extras import require
-from cabinpose.core import ConfigError, RecordingError
+from cabinpose.core import ConfigError, RecordingError, check_output
 
 if TYPE_CHECKING:  # these need the extra `record`, which is asked for first
     from cabinpose.record import Outcome, Recorder, Rig, Storage
@@ -62,13 +62,16 @@ def run(command: Record) -> int:
         rig = dataclasses.replace(rig, take=load_take(command.take))
     if command.split_every is not None:
         rig = dataclasses.replace(rig, storage=_split(rig.storage, command.split_every))
+    if command.out is not None:
+        recording_name("--out", command.out)
     if command.check:
         _check(command, rig)
         return 0
     if command.out is None:
         raise ConfigError("where to record is not said", hint="--out FILE.mcap, or --check to record nothing")
-    if command.duration is not None and command.duration <= 0:
+    if command.duration is not None and not command.duration > 0:
         raise ConfigError(f"a take of {command.duration:g} s is none", hint="give --duration more than 0")
+    check_output(command.out, RecordingError, parents=False)
     return _record(command, rig, command.out)
 
 

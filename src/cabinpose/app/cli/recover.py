@@ -9,7 +9,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import PrintsJson
+from cabinpose.app.cli.arguments import PrintsJson, recording_name
 from cabinpose.app.cli.output import print_json, print_rows, progress
 from cabinpose.app.extras import require
 
@@ -32,6 +32,7 @@ def run(command: Recover) -> None:
     require("record")
     from cabinpose.store.recording import recover
 
+    recording_name("--out", command.out)
     source = command.recording
     size = source.stat().st_size if source.exists() else 0
     with progress(max(size // 1_000_000, 1), "MB") as report:

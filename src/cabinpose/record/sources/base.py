@@ -15,6 +15,14 @@ from cabinpose.core import CabinposeError, DependencyError, RecordingError, Regi
 from cabinpose.signals import Counts, HostClock, Sample
 
 SettingsT = TypeVar("SettingsT", bound=BaseModel)
+_K = TypeVar("_K")
+
+
+def apart(codes: dict[_K, str]) -> dict[_K, str]:
+    """Codes of subjects by what a device calls them. Raises ValueError where two have one: all would be one person's."""
+    if twice := [code for code in codes.values() if list(codes.values()).count(code) > 1]:
+        raise ValueError(f"two are called {twice[0]}: give each a code of their own")
+    return codes
 
 
 class DeviceSource(ABC, Generic[SettingsT]):

@@ -19,11 +19,11 @@ from collections.abc import Hashable, Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cabinpose.core import RecordingError
 from cabinpose.record.sources import mvn_protocol as mvn
-from cabinpose.record.sources.base import DeviceSource
+from cabinpose.record.sources.base import DeviceSource, apart
 from cabinpose.record.sources.mvn_messages import Decoder, PositionUnit
 from cabinpose.record.sources.mvn_protocol import Header, MalformedError
 from cabinpose.record.sources.mvn_sequence import SequenceTracker
@@ -62,7 +62,7 @@ class MvnSettings(BaseModel):
     """How long a late datagram or a missing piece of one is waited for."""
     receive_buffer: Annotated[int, Field(ge=4096, le=1 << 30)] = 1 << 22
     """Bytes of the kernel's buffer: 4 MiB hold about a minute of one person at 60 Hz."""
-    subjects: dict[Annotated[int, Field(ge=0, le=255)], str] = {}
+    subjects: Annotated[dict[Annotated[int, Field(ge=0, le=255)], str], AfterValidator(apart)] = {}
     """Subject codes of characters by their ids; the others are character0, character1, and so on."""
 
 

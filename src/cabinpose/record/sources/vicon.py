@@ -22,11 +22,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cabinpose.core import RecordingError
 from cabinpose.record.sources import vicon_protocol as vicon
-from cabinpose.record.sources.base import DeviceSource
+from cabinpose.record.sources.base import DeviceSource, apart
 from cabinpose.record.sources.vicon_messages import FrameAccount, PacketDecoder, latency
 from cabinpose.record.sources.vicon_protocol import Packet, PacketSplitter, Type
 from cabinpose.signals import Facts, HostClock, Message, Sample
@@ -81,7 +81,7 @@ class ViconSettings(BaseModel):
     """Markers without a label."""
     up: Literal["server", "z", "y"] = "server"
     """The server's vertical axis: what it says itself, or what is known better."""
-    subjects: dict[str, str] = {}
+    subjects: Annotated[dict[str, str], AfterValidator(apart)] = {}
     """Subject codes for the names of subjects in Vicon's software. The packets themselves, which are kept, hold the names."""
     connect_timeout_s: Annotated[float, Field(gt=0, le=60)] = 3.0
     """How long a connection and its greeting may take."""
@@ -140,6 +140,11 @@ class ViconSource(DeviceSource[ViconSettings]):
         complaints = []
         if not self._decoder.subjects and (self.settings.segments or self.settings.labeled_markers):
             complaints.append(f"{where} tracks no subject: tick the subjects in Vicon's software")
+        elif strange := [name for name in self.settings.subjects if name not in self._decoder.told]:
+            known = ", ".join(self._decoder.told)
+            complaints.append(
+                f"{where} tracks no {', '.join(strange)} of `subjects`, and others keep their names; it has: {known}"
+            )
         return complaints + [
             f"{where} has no {part.name}: do not ask for them, or enable them in Vicon's software"
             for part in self._parts

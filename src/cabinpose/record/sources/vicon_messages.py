@@ -75,6 +75,7 @@ class PacketDecoder:
     def __init__(self, *, up: str | None = None, codes: Mapping[str, str] | None = None) -> None:
         self._up, self._codes = up, codes or {}
         self._subjects: tuple[SubjectInfo, ...] = ()
+        self.told: tuple[str, ...] = ()  # names of the subjects on the server
         self._segments, self._markers = _Table(), _Table()
         self._y_up = False
         self.period = 0
@@ -83,7 +84,7 @@ class PacketDecoder:
 
     @property
     def subjects(self) -> tuple[str, ...]:
-        """Names of the subjects that the server tracks."""
+        """Names of the subjects that the server tracks, or their codes."""
         return tuple(subject.name for subject in self._subjects)
 
     @property
@@ -174,6 +175,7 @@ class PacketDecoder:
             return ZUP_FROM_YUP @ matrix @ ZUP_FROM_YUP.T if self._turn else matrix
 
     def _learn(self, infos: Sequence[SubjectInfo]) -> None:
+        self.told = tuple(info.name for info in infos)
         named = (replace(info, name=self._codes.get(info.name, info.name)) for info in infos)
         self._subjects = tuple({info.subject: info for info in named}.values())
         self._segments = _Table([(s.subject, s.name, [(part.segment, part.name) for part in s.segments]) for s in self._subjects])
