@@ -330,12 +330,13 @@ def test_pixels_are_lifted_by_the_image(frames: Frames, tmp_path: Path) -> None:
     assert np.isfinite(found.joints_3d[:, 0].values[seen]).mean() > 0.9
 
 
+@pytest.mark.parametrize("missing", [np.nan, 0.0])
 @pytest.mark.parametrize("lift", [False, True])
 def test_joints_whose_depth_is_not_known_keep_their_pixels(
-    lift: bool, source: xr.Dataset, frames: Frames, tmp_path: Path
+    lift: bool, missing: float, source: xr.Dataset, frames: Frames, tmp_path: Path
 ) -> None:
     some = np.arange(len(JOINTS)) % 2 == 0
-    xyz = np.where(some[:, None], frames["joints_3d"] + np.float32(0.3), np.nan)  # other than the image says
+    xyz = np.where(some[:, None], frames["joints_3d"] + np.float32(0.3), missing)  # other than the image says
     layout = folder_of_pixels(Frames(frames | {"joints_3d": xyz}), tmp_path / "frames", z=True)
     layout["joints"]["lift"] = lift
     found = imported(tmp_path / "frames", layout)
@@ -404,6 +405,10 @@ def changed(layout: Layout, path: str, value: Any) -> Layout:
         ("joints.states", {"visible": "visible"}, "the state 'self_occluded' of a joint is not in the layout"),
         ("joints.match", ["car"], "car is not both in values and in depth.files"),
         ("joints.lift", True, "positions in space need none"),
+        ("joints.first_frame", 1, "first_frame: it says nothing here"),  # of rows
+        ("joints.visibility", "state", "visibility: it says nothing here"),
+        ("joints.first_pixel", 1, "first_pixel: it says nothing here"),  # of positions in space
+        ("joints.values.visibility", None, "states: it says nothing here"),
         ("places", ["driver"], "unknown place 'front_passenger'"),
         ("call", {}, "unknown place 'left'"),
         ("instance.people", {10: "driver"}, "has pixels of 20"),
@@ -502,6 +507,17 @@ def test_frames_without_a_row_are_empty_and_counted(frames: Frames, tmp_path: Pa
     found = open_dataset(import_source(opened, tmp_path / "out"))
     assert opened.outcome() == "4 of 12 frames have nobody's joints: they are taken for empty"
     assert (found.subject.values[4:8] == "").all()
+    table.write_text("\n".join([*lines, lines[1]]))
+    with pytest.raises(DatasetError, match=r"all joints.csv, row 4,1: J_HEAD of one person comes a second time"):
+        import_source(open_source(tmp_path / "frames", "folder", layout=tmp_path / "layout.yaml"), tmp_path / "none")
+    table.write_text("\n".join(lines).replace("J_HEAD", "HEAD"))
+    opened = open_source(tmp_path / "frames", "folder", layout=tmp_path / "layout.yaml")
+    import_source(opened, tmp_path / "headless")
+    assert opened.outcome() == "joints.names: nobody has a J_HEAD"
+    table.write_text("\n".join(lines).replace("J_", "K_"))
+    with pytest.raises(DatasetError, match="no frame has anybody's joints") as error:
+        import_source(open_source(tmp_path / "frames", "folder", layout=tmp_path / "layout.yaml"), tmp_path / "none")
+    assert "joints.names" in str(error.value.hint)
     table.write_text(lines[0])
     with pytest.raises(DatasetError, match="no frame has anybody's joints"):
         import_source(open_source(tmp_path / "frames", "folder", layout=tmp_path / "layout.yaml"), tmp_path / "none")

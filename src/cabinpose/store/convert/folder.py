@@ -160,18 +160,26 @@ class _LaidFolder:
             if place is not None and place.kept:
                 frame["vehicle_from_camera"] = place.world_from_camera
             self._put_people(frame, key, camera, place)
-            if key is self.keys[-1][0] and self._joints is not None and not self._joints.met:
+            if key is self.keys[-1][0] and self._joints is not None and len(self._joints.never_known) == len(self._joints.joints):
                 raise DatasetError(
                     f"{self._root}: no frame has anybody's joints",
-                    hint="look at joints.match and joints.first_frame",
+                    hint="look at joints.names, joints.match and joints.first_frame",
                 )
             yield frame
 
     def outcome(self) -> str:
         """What is to be said of the frames that were read."""
-        if self._joints is None or not self._joints.unmatched:
-            return ""
-        return f"{self._joints.unmatched} of {len(self.keys)} frames have nobody's joints: they are taken for empty"
+        notes: list[str] = []
+        if self._joints is not None and self._joints.unmatched:
+            notes.append(f"{self._joints.unmatched} of {len(self.keys)} frames have nobody's joints: they are taken for empty")
+        if (
+            self._layout.joints is not None
+            and self._layout.joints.names
+            and self._joints is not None
+            and self._joints.never_known
+        ):
+            notes.append(f"joints.names: nobody has a {' or '.join(self._joints.never_known)}")
+        return "; ".join(notes)
 
     def _called(self, name: str, value: str | int) -> str:
         names = self._layout.call.get(name, {})  # type: ignore[call-overload]  # its keys are names of fields

@@ -247,7 +247,23 @@ class JointFiles(ArrayFiles):
             raise ConfigError(f"axes: {', '.join(self.axes)} are no axes", hint="each of x, y and z once, with - if turned")
         if self.lift and self.space != "image":
             raise ConfigError("lift: positions in space need none", hint="leave lift out, or say space: image")
+        self._heeded()
         return self
+
+    def _heeded(self) -> None:
+        """Raise ConfigError for keys that say nothing beside others."""
+        rows, image = self.values is not None, self.space == "image"
+        stated = self.visibility or (self.values is not None and self.values.visibility)
+        for names, heeded, hint in (
+            (("variable", "visibility", "first_frame", "dims"), not rows, "rows say by `values` where frames and states stand"),
+            (("rows",), rows, "say by `values` where a row has its values"),
+            (("states",), bool(stated), "say where states stand: `visibility` of arrays, values.visibility of rows"),
+            (("axes",), not image, "pixels have none"),
+            (("first_pixel",), image, "positions in space have none; or say space: image"),
+        ):
+            told = [name for name in names if getattr(self, name) != type(self).model_fields[name].get_default()]
+            if told and not heeded:
+                raise ConfigError(f"{told[0]}: it says nothing here", hint=hint)
 
     @property
     def skeleton(self) -> Skeleton:

@@ -64,7 +64,7 @@ class JointReader:
                 )
         self._rows = lru_cache(maxsize=4)(partial(_rows_by_frame, spec, self._match))  # frames of one file follow each other
         self.unmatched = 0  # frames without a row
-        self.met = 0
+        self._known_of = np.zeros(len(self.joints), np.int64)  # people whose joint is known, by joint
 
     def people(self, key: Key) -> list[LaidPerson]:
         """Everybody in a frame. Raises DatasetError for a file that is missing or damaged."""
@@ -74,8 +74,14 @@ class JointReader:
         found = [person for file in files for person in self._of_file(file, key)]
         if files and not found:
             self.unmatched += 1
-        self.met += len(found)
+        for person in found:
+            self._known_of += person.states != Visibility.ABSENT
         return found
+
+    @property
+    def never_known(self) -> list[str]:
+        """What the files call joints that nobody's were of."""
+        return [str(theirs) for theirs, known in zip(self._spec.called.values(), self._known_of, strict=True) if not known]
 
     def _of_file(self, file: FoundFile, key: Key) -> Iterator[LaidPerson]:
         if self._spec.values is None:
@@ -198,6 +204,12 @@ class _TableRow:
         except (TypeError, ValueError, OverflowError) as error:
             raise self.error(name, value) from error
 
+    def twice(self, joint: str) -> DatasetError:
+        return DatasetError(
+            f"{self._where}: {joint} of one person comes a second time",
+            hint="values.place or values.subject tells people apart, and joints.match says which rows are of a frame",
+        )
+
     def error(self, name: str, value: Any) -> DatasetError:
         return DatasetError(f"{self._where}: {name} is {str(value)[:40]!r}", hint=_ROW_HINT)
 
@@ -238,6 +250,7 @@ def _rows_by_frame(spec: JointFiles, match: tuple[str, ...], path: Path) -> dict
     single: dict[tuple[Any, ...], LaidPerson] = {}
     found: dict[tuple[str | int, ...], list[LaidPerson]] = {}
     number_of = {str(theirs): number for number, (_, theirs) in enumerate(joints)}
+    told: set[tuple[Any, ...]] = set()
     for row in _rows(path, spec):
         key = tuple(_alike(row.field(getattr(values, name), name)) for name in match)
         place, subject, action = (
@@ -255,6 +268,9 @@ def _rows_by_frame(spec: JointFiles, match: tuple[str, ...], path: Path) -> dict
             found.setdefault(key, []).append(person)
         number = number_of.get(str(row.get(values.joint)))
         if number is not None:
+            if (this := (key, place, subject, number)) in told:
+                raise row.twice(str(joints[number][1]))
+            told.add(this)
             person.xyz[number] = _position(row, values, "")
             if values.visibility:
                 person.said[number] = _text(row.get(values.visibility))
@@ -308,6 +324,7 @@ def in_camera(spec: JointFiles, xyz: F64, camera: Camera | None, camera_from_wor
     """(J, 3) m in our camera frame of positions as they stand in the files; NaN of pixels without depth."""
     if spec.space == "image":
         uv, z = xyz[:, :2] - spec.first_pixel, xyz[:, 2] * step_m(str(spec.unit))
+        z = np.where(z > 0, z, np.nan)  # 0 is no depth, as in images
         if camera is None or not np.isfinite(z).any():
             return np.full_like(xyz, np.nan)
         return np.asarray(camera.unproject(uv, z))
