@@ -169,16 +169,14 @@ class _LaidFolder:
 
     def outcome(self) -> str:
         """What is to be said of the frames that were read."""
+        spec, joints = self._layout.joints, self._joints
+        if spec is None or joints is None:
+            return ""
         notes: list[str] = []
-        if self._joints is not None and self._joints.unmatched:
-            notes.append(f"{self._joints.unmatched} of {len(self.keys)} frames have nobody's joints: they are taken for empty")
-        if (
-            self._layout.joints is not None
-            and self._layout.joints.names
-            and self._joints is not None
-            and self._joints.never_known
-        ):
-            notes.append(f"joints.names: nobody has a {' or '.join(self._joints.never_known)}")
+        if joints.unmatched:
+            notes.append(f"{joints.unmatched} of {len(self.keys)} frames have nobody's joints: they are taken for empty")
+        if spec.names and joints.never_known:
+            notes.append(f"joints.names: nobody has a {' or '.join(joints.never_known)}")
         return "; ".join(notes)
 
     def _called(self, name: str, value: str | int) -> str:
