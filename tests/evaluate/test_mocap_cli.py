@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,19 @@ def test_sse_counts_standstills_with_the_motors_angle_as_without(run: Callable[.
         assert (done.code, "stands still 8 times; 9 steps were expected" in done.err) == (2, True), done.err
 
 
+def test_a_sensor_that_two_people_wear_is_nobodys(run: Callable[..., Any], tmp_path: Path) -> None:
+    time = np.arange(0, 1, 1 / 30)
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1))
+    streams = {
+        source: [(at, replace(message, subject=code)) for at, message in moving_body.sensor_stream(time, still)]
+        for source, code in (("suit", "S01"), ("suit2", "S02"))
+    }
+    take = moving_body.write_take(tmp_path / "two.mcap", streams)
+    done = run("evaluate-mocap", "sse", f"yaw={take}")
+    assert (done.code, "S01 and S02 have a sensor" in done.err) == (2, True), done.err
+    assert "stands still 1 times" in run("evaluate-mocap", "sse", f"yaw={take}", "--source", "suit2").err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -151,6 +165,8 @@ def test_sse_counts_standstills_with_the_motors_angle_as_without(run: Callable[.
         (["sse", "yaw={yaw}", "--motor", "imu/deg"], "gives no channel 'deg'"),
         (["sfe"], "nothing to evaluate"),
         (["sfe", "{drive}", "--first", "0", "1"], "one of the two poses has no time"),
+        (["sfe", "{drive}", "--first", "0", "1", "--last", "10", "11", "--any-pose"], "--any-pose looks for poses"),
+        (["sfe", "{drive}", "--fit", "body", "--pelvis", "Hips"], "--pelvis is not heeded"),
         (["sfe", "{drive}", "--subject", "S02"], "no SegmentPoses of 'S02'"),
         (["sfe", "{planes}"], "stands still 0 times"),
         (["sfe", "nowhere.bvh"], "nowhere.bvh does not exist"),
@@ -158,6 +174,7 @@ def test_sse_counts_standstills_with_the_motors_angle_as_without(run: Callable[.
         (["dse", "{planes}", "--windows", "coronal"], "is no window"),
         (["dse", "{planes}", "--windows", "late=90:100"], "holds no frame"),
         (["dse", "{planes}", "--pairs", "tail=Hips"], "unknown pair 'tail'"),
+        (["dse", "{planes}", "--pairs", "lknee=L_Tibia"], "unknown pair 'lknee'"),  # a pair of positions
         (["dse", "{planes}", "--sensors"], "no orientations of sensors"),
         (["dfe", "{planes}", "--delay-ms", "60000"], "no time in common"),
         (["dfe", "{planes}", "--pairs", "hip=Hips", "--delay-ms", "40"], "the pelvis' frame needs hip"),

@@ -100,6 +100,8 @@ def test_the_wrong_axis_and_no_turn_are_errors() -> None:
         sse_run(time, turned("yaw", motor), axis="roll", step=step)
     with pytest.raises(AlignmentError, match="not turned"):
         sse_run(time, turned("yaw", motor), axis="yaw", step=np.where(step == 0, 0, -1))
+    with pytest.raises(AlignmentError, match="no sample of the sensor is of a step"):  # a take that ended as it had begun
+        sse_run(time, turned("yaw", motor), axis="yaw", step=np.full(len(time), -1))
     with pytest.raises(AlignmentError, match="neither steps nor a reference"):
         sse_run(time, turned("yaw", motor), axis="yaw")
     with pytest.raises(ConfigError, match="unknown axis 'heading'"):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional
 
-from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, refuse_existing, several
+from cabinpose.app.cli.arguments import Maybe, PrintsJson, one_of, refuse, refuse_existing, several
 from cabinpose.app.cli.output import print_json, print_table, printable, progress
 from cabinpose.app.extras import require
 from cabinpose.app.mocap.settings import OpticalSettings, RotationSettings
@@ -198,6 +198,10 @@ def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRu
 
     if (command.first is None) != (command.last is None):
         raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
+    if command.first is not None:
+        refuse({"--any-pose": command.any_pose}, "{} looks for poses, and --first and --last say when they are")
+    if command.fit == "body":
+        refuse({"--pelvis": command.pelvis != "Pelvis"}, "{} is not heeded where --fit body lays all points on each other")
     if command.first is not None and command.last is not None:
         poses = Window("first", *command.first), Window("last", *command.last)
     else:

@@ -142,6 +142,8 @@ def _turned_pelvises(both: _Both, suit: F64, optical: F64) -> dict[str, F64]:
 def _both(take: Path, settings: OpticalSettings, what: What) -> _Both:
     suit, optical, note = _streams(take, settings)
     table, pairs = _TABLES[what], _pairs(what, suit, optical, settings)
+    if what == "orientation":  # positions need the turns' pairs too, for the delay, and turns no others
+        replaced(table, pairs_of(settings.pairs))
     rate = settings.rate if settings.rate is not None else round(min(suit.rate_hz, optical.rate_hz), 3)
     time = common_clock([suit.time_s, optical.time_s], rate)
     notes = [note, missing(table, pairs)]

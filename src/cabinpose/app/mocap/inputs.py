@@ -99,7 +99,12 @@ def read_orientations(path: Path, name: str | None, *, source: str | None = None
             f"{path} has no orientations of {f'a sensor {name!r}' if name else 'a single sensor'}",
             hint=f"name one with --sensor: {', '.join(names) or 'there is none'}",
         )
-    kept = [(ns, m.orientation_wxyz[m.names.index(name)]) for ns, m in rows if isinstance(m, SensorReadings) and name in m.names]
+    found = [(ns, m) for ns, m in rows if isinstance(m, SensorReadings) and name in m.names]
+    if len(worn := dict.fromkeys(m.subject for _, m in found)) > 1:
+        raise RecordingError(
+            f"{path}: {' and '.join(worn)} have a sensor {name!r} each", hint="say by --source whose, or record one of them"
+        )
+    kept = [(ns, m.orientation_wxyz[m.names.index(name)]) for ns, m in found]
     time_ns, rising = np.unique(np.array([ns for ns, _ in kept], np.int64), return_index=True)
     return (time_ns - time_ns[0]) / 1e9, np.stack([q for _, q in kept])[rising], int(time_ns[0])
 

@@ -112,10 +112,12 @@ def sse_run(
     else:
         reference = marks.astype(np.float64) * step_rad
     used = np.flatnonzero((marks >= 0) & np.isfinite(q).all(axis=-1))
+    if not len(used):
+        raise AlignmentError("no sample of the sensor is of a step", hint="was it recorded while the motor stood still?")
     if step is not None and samples is not None:
         used = np.concatenate([_middle(used[marks[used] == k], samples) for k in np.unique(marks[used])])
-    reference = reference[used] - (reference[used[0]] if len(used) else 0.0)
-    if not len(used) or np.ptp(reference) == 0:
+    reference = reference[used] - reference[used[0]]
+    if np.ptp(reference) == 0:
         raise AlignmentError("the sensor was not turned: there is but one step", hint="a run needs two steps or more")
     turned = product(conjugate(mean_orientation(q[used][marks[used] == marks[used[0]]])), q[used])
     about = turn_about(turned, AXES[axis])
