@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from pydantic import ValidationError
 
 from cabinpose.align.calibration import rows
 from cabinpose.align.dataset import align_takes
@@ -179,6 +180,14 @@ def test_a_truth_of_another_take_is_refused(folder: Path, calibrated: Calibrated
         joint_error(aligned, rig, late)
     with pytest.raises(ConfigError, match=r"holds no drive-S03\.truth\.npz"):
         load_truth(folder, "S03")
+
+
+def test_what_there_is_not_leaves_no_half_of_a_session(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="sedann"):
+        record_session(tmp_path / "lab", VirtualRig(), PLAN.model_copy(update={"car": "sedann"}))
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ValidationError, match="a subject is named twice"):
+        Plan(subjects=("S01", "S02", "S01"))
 
 
 def test_the_commands_do_the_same(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,15 +48,19 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
     """Record a session into a new folder and return the truth of each subject's drive, which lies beside it as well.
 
     report: called with the number of `plan.steps` done. Same rig and plan, same recordings. Raises ConfigError where the folder
-    is not empty.
+    is not empty, and for a car or a person that there is not.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError(f"{folder} is not empty", hint="give a new or empty folder with --out")
-    make_folder(folder)
 
     def drawn(*take: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(np.random.SeedSequence((plan.seed, *take))))
 
+    actors = []  # first of all: a car or a person that there is not leaves no half of a session
+    for number, subject in enumerate(plan.subjects):
+        worn: dict[str, Any] = {"suit": "suit2", "head": "head2"} if plan.together and number == 1 else {}
+        actors.append(dress_up(plan.car, subject, **worn, rng=drawn(4, number)))
+    make_folder(folder)
     _write_yaml(folder / RIG, rig.model_dump(mode="json", exclude_none=True))
     board = Board()
     shown = board_take(rig, views=plan.views, board=board, rng=drawn(0))
@@ -65,12 +69,8 @@ def record_session(folder: Path, rig: VirtualRig, plan: Plan, report: Callable[[
     write_pendulum_take(folder / PENDULUM, rig, pendulum_take(rig, duration_s=plan.pendulum_s, rng=drawn(2)), rng=drawn(3))
     report(RIG_TAKES)
     truths: dict[str, Truth] = {}
-    actors = []
-    for number, subject in enumerate(plan.subjects):
+    for number, (subject, actor) in enumerate(zip(plan.subjects, actors, strict=True)):
         done = RIG_TAKES + PERSON_TAKES * number
-        worn: dict[str, Any] = {"suit": "suit2", "head": "head2"} if plan.together and number == 1 else {}
-        actor = dress_up(plan.car, subject, **worn, rng=drawn(4, number))
-        actors.append(actor)
         write_head_take(folder / head_take(subject), rig, actor, rng=drawn(5, number))
         report(done + 1)
         if plan.exercises:

@@ -29,7 +29,9 @@ class Plan(BaseModel):
     seed: int = Field(0, ge=0, description="Seed of all random numbers.")
 
     @model_validator(mode="after")
-    def _has_two(self) -> Self:
+    def _has_people(self) -> Self:
+        if len(set(self.subjects)) < len(self.subjects):
+            raise ValueError("a subject is named twice")
         if self.together and len(self.subjects) < 2:
             raise ValueError("together needs two subjects")
         return self
