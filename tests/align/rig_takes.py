@@ -105,6 +105,7 @@ class Made:
     drive_side: Literal["left", "right"] | None = None
     sources: tuple[str, ...] = ("tof", "optical", "suit")
     depth_m: float = 0.0
+    amplitude: bool = True
     seed: int = 5
     true_s: dict[str, np.ndarray] = field(default_factory=dict)
 
@@ -135,7 +136,8 @@ class Made:
     def _messages(self, source: str, time: np.ndarray) -> list[tuple[Message, ...]]:
         if source == "tof":
             depth = np.full((CAMERA.height, CAMERA.width), round(self.depth_m * 1e4), np.uint16)
-            frame = ToFFrame(depth, 1e-4, depth, np.zeros((0, 0), np.uint8), CAMERA.k, np.zeros(5), np.zeros(5))
+            amplitude = depth if self.amplitude else np.zeros((0, 0), np.uint16)
+            frame = ToFFrame(depth, 1e-4, amplitude, np.zeros((0, 0), np.uint8), CAMERA.k, np.zeros(5), np.zeros(5))
             named = ((Facts("camera", {"vendor": "ours", "serial": self.camera}), frame),) if self.camera else ((frame,),)
             return [*named, *[(frame,)] * (len(time) - 1)]
         if source == "optical":

@@ -291,6 +291,15 @@ def test_a_seat_that_is_not_named_and_another_cameras_size_are_refused(tmp_path:
     assert not (tmp_path / "dataset").exists()
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_takes_with_other_images_are_refused(first: bool, tmp_path: Path, take) -> None:
+    Made(seconds=6, amplitude=False).write(tmp_path / "dark.mcap")
+    paths = [take[0], tmp_path / "dark.mcap"]
+    with pytest.raises(AlignmentError, match=r"other images.*take.mcap has depth, amplitude") as error:
+        align_takes(paths if first else paths[::-1], calibration())
+    assert "align them apart" in str(error.value.hint)
+
+
 def test_the_file_of_a_calibration_comes_back_and_what_is_wrong_in_it_is_named(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     calibration().save(path)

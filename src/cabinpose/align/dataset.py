@@ -163,7 +163,7 @@ def align_takes(
     Raises
     ------
     AlignmentError
-        Where a take cannot be aligned, or where cameras differ in size.
+        Where a take cannot be aligned, or where cameras differ in size or in the images that they give.
     """
     takes, warnings = [], []
     for sequence, path in enumerate(paths):
@@ -198,7 +198,7 @@ def align_takes(
         generator="cabinpose.align", generator_version=__version__, seed=0, licence=licence, width=lens.width, height=lens.height,
         frames=sum(int(each.kept.sum()) for each in takes), persons=persons,
         variables=(
-            *_images(paths[0], calibration), "head_residual", *(("joint_shift",) if corrections.depth else ()),
+            *_images(paths, calibration), "head_residual", *(("joint_shift",) if corrections.depth else ()),
             *(("drive_side",) if any(each.drive_side for each in takes) else ()),
         ),
         config={
@@ -330,11 +330,20 @@ def _place(path: Path, take: Take, subject: str) -> str:
     return seat or STANDING_SLOT
 
 
-def _images(path: Path, calibration: Calibration) -> tuple[str, ...]:
-    """The images that the camera gives, by its first frame."""
-    with Recording(path) as recording:
-        _, first = next(tof_frames(recording, calibration.names.tof))
-    return ("depth", *(name for name in FRAME_IMAGES if getattr(first, name).size))
+def _images(paths: Sequence[Path], calibration: Calibration) -> tuple[str, ...]:
+    """The images that the camera gives, by the first frame of each take. Raises AlignmentError where one lacks some of them."""
+    found: dict[tuple[str, ...], Path] = {}
+    for path in paths:
+        with Recording(path) as recording:
+            _, first = next(tof_frames(recording, calibration.names.tof))
+        found.setdefault(("depth", *(name for name in FRAME_IMAGES if getattr(first, name).size)), path)
+    if len(found) > 1:
+        told = "; ".join(f"{path} has {', '.join(images)}" for images, path in found.items())
+        raise AlignmentError(
+            f"the camera gives other images in other takes: {told}",
+            hint="all frames of a dataset have the same: align them apart",
+        )
+    return next(iter(found))
 
 
 def _check_size(path: Path, image: ToFFrame, calibration: Calibration) -> None:
