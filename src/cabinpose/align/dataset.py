@@ -341,7 +341,7 @@ def _images(paths: Sequence[Path], calibration: Calibration) -> tuple[str, ...]:
         told = "; ".join(f"{path} has {', '.join(images)}" for images, path in found.items())
         raise AlignmentError(
             f"the camera gives other images in other takes: {told}",
-            hint="all frames of a dataset have the same: align them apart",
+            hint="frames of a dataset have the same: align them apart",
         )
     return next(iter(found))
 
