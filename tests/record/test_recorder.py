@@ -236,6 +236,22 @@ def test_a_source_that_cannot_be_opened_is_told_at_once(tmp_path: Path) -> None:
     assert not any(thread.name.startswith(("source-", "recording-")) for thread in threading.enumerate())
 
 
+def test_ctrl_c_while_a_device_does_not_answer_leaves_nothing(tmp_path: Path) -> None:
+    """The recorder waits for its sources to be open in the thread that Ctrl-C interrupts."""
+
+    class Interrupted(HostClock):
+        def wait(self, event: threading.Event, timeout_s: float) -> bool:
+            if threading.current_thread() is threading.main_thread():
+                raise KeyboardInterrupt
+            return super().wait(event, timeout_s)
+
+    rig = parse_rig({"sources": {"suit": {"kind": "numbered"}}})
+    with pytest.raises(KeyboardInterrupt):
+        begin(rig, tmp_path / "a.mcap", Interrupted())
+    assert list(tmp_path.iterdir()) == []
+    assert not [thread for thread in threading.enumerate() if thread.name == "source-suit"]
+
+
 def test_a_failed_start_leaves_no_file(tmp_path: Path) -> None:
     rig = parse_rig({"sources": {"a": {"kind": "replay", "path": "missing.mcap"}}}, base=tmp_path)
     with pytest.raises(RecordingError, match=r"missing\.mcap"):

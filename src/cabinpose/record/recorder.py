@@ -76,15 +76,18 @@ class Recorder:
     def start(self, timeout_s: float = 30.0) -> None:
         """Open all sources and begin. Raises RecordingError or DependencyError where one cannot be opened; none is left open."""
         until = self._clock.now_s() + timeout_s
-        for lane in self._lanes:
-            lane.start()
-        for lane in self._lanes:
-            if not self._clock.wait(lane.opened, until - self._clock.now_s()) or lane.failure is not None:
-                self._halt_sources()
-                self._writer.close()
-                raise lane.failure or RecordingError(
-                    f"{lane.name} does not answer", hint="`cabinpose record --check` says what is missing"
-                )
+        try:
+            for lane in self._lanes:
+                lane.start()
+            for lane in self._lanes:
+                if not self._clock.wait(lane.opened, until - self._clock.now_s()) or lane.failure is not None:
+                    raise lane.failure or RecordingError(
+                        f"{lane.name} does not answer", hint="`cabinpose record --check` says what is missing"
+                    )
+        except BaseException:  # Ctrl-C among them
+            self._halt_sources()
+            self._writer.close()
+            raise
         self._started_ns = self._ended_ns = self._clock.now_ns()
         self._thread.start()
         for lane in self._lanes:

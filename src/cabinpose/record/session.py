@@ -8,7 +8,6 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from cabinpose.core import CabinposeError
 from cabinpose.record.config import Rig
 from cabinpose.record.lane import Lane
 from cabinpose.record.recorder import Recorder
@@ -68,7 +67,7 @@ def start_recorder(rig: Rig, lanes: Sequence[Lane], out: Path, clock: HostClock,
     recorder = Recorder(lanes, writer, clock, wake, min_free_bytes=int(storage.min_free_mb * 1e6))
     try:
         recorder.start()
-    except CabinposeError:
+    except BaseException:  # Ctrl-C while a device does not answer, too
         out.unlink()
         raise
     return recorder
