@@ -11,6 +11,7 @@ from .body_check import recognised_unit as recognised_unit
 from .body_check import rotation_doubt as rotation_doubt
 from .body_check import stamp_doubts as stamp_doubts
 from .body_check import trunk_columns as trunk_columns
+from .clock import LATEST_NS as LATEST_NS
 from .clock import ClockMap as ClockMap
 from .clock import HostClock as HostClock
 from .clock import Unwrapper as Unwrapper

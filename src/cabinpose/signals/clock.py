@@ -17,6 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+LATEST_NS = 1_000_000_000
+"""No sample is overtaken by one that is newer by more: where a device's time falls by more, it was started anew."""
+
 
 class HostClock:
     """Nanoseconds since the Unix epoch that advance with the monotonic clock: no step where the system's time is set.

@@ -11,7 +11,7 @@ from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
-from cabinpose.core import RecordingError
+from cabinpose.core import ConfigError, RecordingError
 from cabinpose.signals import Facts, Message, Sample, TakeCheck, TakenBody
 from cabinpose.store.convert.format import RecordingFormat, format_of, made_options
 from cabinpose.store.convert.rows import Entry, checked
@@ -128,6 +128,10 @@ def export_recording(
     """
     form = format_of(name, RecordingFormat, "write")
     chosen = made_options(name, form.options("write"), options)
+    if span_s is not None and not span_s[0] < span_s[1]:
+        raise ConfigError(
+            f"{span_s[0]:g} to {span_s[1]:g} s is no span", hint="seconds of the take, from the earlier to the later"
+        )
     with Recording(path) as recording:
         named = _sources(recording, name, form.topics(chosen), sources)
         start_ns, end_ns = 0, 1 << 64

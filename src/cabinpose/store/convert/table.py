@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cabinpose.core import ConfigError, MocapError
-from cabinpose.signals import F64
+from cabinpose.signals import F64, LATEST_NS
 
 _CELL_LIMIT = 200_000_000  # numbers: 1.6 GB
 
@@ -28,6 +28,13 @@ class TableExport:
             raise ConfigError(f"{self.rate_hz:g} frames a second are none", hint="give --rate-hz more than 0")
 
 
+def period_ns(times_ns: Iterable[int]) -> float:
+    """The time from frame to frame: the mean of steps that no frame is missing in, since stamps may be rounded; 0 for none."""
+    steps = np.diff(np.unique(np.fromiter(times_ns, np.int64))).astype(np.float64)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return float(steps[np.abs(steps - usual) <= 0.5 * usual].mean()) if usual > 0 else 0.0
+
+
 @dataclass
 class Table:
     """Values of named columns at times: of `width` numbers each, NaN where there are none."""
@@ -35,9 +42,16 @@ class Table:
     width: int
     columns: dict[str, int] = field(default_factory=dict)
     rows: dict[int, list[tuple[list[int], F64]]] = field(default_factory=dict)  # time -> columns and their values
+    _newest_ns: int | None = None
 
     def add(self, time_ns: int, names: Sequence[str], values: F64) -> None:
-        """Values (names, width) at a time; of equal times the first counts. MocapError where two names are the same."""
+        """Values (names, width) at a time; of equal times the first counts.
+
+        MocapError where two names are the same, and where time falls as of a device that was started anew.
+        """
+        self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
+        if self._newest_ns - time_ns > LATEST_NS:
+            raise MocapError("the device was started anew within the recording", hint="export its parts, each by --span FROM TO")
         if len(set(names)) != len(names):
             raise MocapError(f"two of {', '.join(names)} have one name", hint="rename one: they are told apart by their names")
         at = [self.columns.setdefault(name, len(self.columns)) for name in names]
@@ -46,10 +60,9 @@ class Table:
         self.rows.setdefault(time_ns, []).append((at, values.reshape(len(at), self.width)))
 
     def rate_hz(self) -> float | None:
-        """From the median of the differences of the times."""
-        times = np.sort(np.array(list(self.rows), np.int64))
-        step = np.median(np.diff(times)) if len(times) > 1 else 0.0
-        return 1e9 / float(step) if step > 0 else None
+        """From the times."""
+        step = period_ns(self.rows)
+        return 1e9 / step if step > 0 else None
 
     def frames(self, rate_hz: float) -> tuple[int, F64]:
         """The first time, and (F, columns, width) from there to the last."""

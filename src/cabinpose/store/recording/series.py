@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cabinpose.core import RecordingError
-from cabinpose.signals import ARRAYS, F64, Markers, Sample, SegmentPoses, ToFFrame
+from cabinpose.signals import ARRAYS, F64, LATEST_NS, Markers, Sample, SegmentPoses, ToFFrame
 from cabinpose.store.recording.reader import Recording
 
 Times = NDArray[np.int64]
 M = TypeVar("M", SegmentPoses, Markers)
-_LATEST_NS = 1_000_000_000  # no sample overtakes others by more: the device was started anew
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ def _with_starts(time_ns: list[int]) -> list[tuple[int, int]]:
     found: list[tuple[int, int]] = []
     starts, latest = 0, time_ns[0]
     for time in time_ns:
-        starts, latest = (starts + 1, time) if latest - time > _LATEST_NS else (starts, max(latest, time))
+        starts, latest = (starts + 1, time) if latest - time > LATEST_NS else (starts, max(latest, time))
         found.append((starts, time))
     return found
 
