@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,13 @@ from typing import Any
 import pytest
 import yaml
 
+from cabinpose.align.dataset import align_takes
 from cabinpose.align.session import Session
 from cabinpose.core.errors import AlignmentError
+from cabinpose.store.recording import RecordingWriter, Take
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rig_takes import calibration
 
 SUBJECT: dict[str, Any] = {
     "take": "head.mcap",
@@ -82,6 +88,18 @@ def test_a_folder_that_is_not_there_is_told_before_the_work(tmp_path: Path, run:
     assert "there is no folder" in done.err  # and not: board.mcap does not exist
 
 
-def test_a_take_that_is_named_twice_is_refused(tmp_path: Path, run: Callable[..., Any]) -> None:
-    done = run("align", "a.mcap", "b.mcap", "a.mcap", "--calibration", "none.yaml", "--out", tmp_path / "dataset")
-    assert (done.code, "a.mcap is named twice" in done.err) == (2, True), done.err
+def test_a_take_that_is_named_twice_is_refused(tmp_path: Path) -> None:
+    """`align take*.mcap` names the later files of a take, which its first file stands for."""
+    first, second, other = (tmp_path / name for name in ("take.mcap", "take-001.mcap", "other.mcap"))
+    for path, part in ((first, 0), (second, 1), (other, None)):
+        RecordingWriter(path, Take(), started_ns=7, part=part).close()
+    for paths, said in (
+        ([first, other, first], "take.mcap is named twice"),
+        ([second, first], "take-001.mcap and .*take.mcap both hold .*take-001.mcap"),
+        ([first, tmp_path / "x" / ".." / "take.mcap"], "both hold"),
+    ):
+        (tmp_path / "x").mkdir(exist_ok=True)
+        with pytest.raises(AlignmentError, match=said):
+            align_takes(paths, calibration())
+    with pytest.raises(AlignmentError, match="names no subject"):
+        align_takes([first, other], calibration())

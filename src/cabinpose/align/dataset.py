@@ -21,7 +21,7 @@ from cabinpose.core import JOINTS, OCCUPANT_SLOTS, SIDE_NAMES, STANDING_SLOT, Al
 from cabinpose.signals import FRAME_IMAGES, ToFFrame
 from cabinpose.store import UNKNOWN, Manifest, Source, blank_frame, ticks_of_steps
 from cabinpose.store.convert import put_camera, put_person
-from cabinpose.store.recording import Recording, Take, tof_frames
+from cabinpose.store.recording import Recording, Take, files_of_take, tof_frames
 
 POV = "tof"
 _ALL = np.arange(len(JOINTS))
@@ -163,9 +163,10 @@ def align_takes(
     Raises
     ------
     AlignmentError
-        Where a take cannot be aligned, or where cameras differ in size or in the images that they give.
+        Where a take is named twice or cannot be aligned, or where cameras differ in size or in the images that they give.
     """
     takes, warnings = [], []
+    _refuse_twice(paths)
     for sequence, path in enumerate(paths):
         with Recording(path) as recording:
             codes = [subject] if subject else list(recording.take.codes)
@@ -220,6 +221,16 @@ def align_takes(
             yield from _frames_of(each, calibration, manifest)
 
     return AlignedTakes(Source(paths[0], manifest, frames), reports, warnings)
+
+
+def _refuse_twice(paths: Sequence[Path]) -> None:
+    """Raise AlignmentError for a take that is named twice, or a later file of one beside its first, which stands for all."""
+    named: dict[Path, int] = {}
+    for number, path in enumerate(paths):
+        for file in files_of_take(path):
+            if (other := named.setdefault(file.resolve(), number)) != number:
+                told = f"{path} is named twice" if path == paths[other] else f"{paths[other]} and {path} both hold {file}"
+                raise AlignmentError(told, hint="its frames would be twice in the dataset: name the first file of a take, once")
 
 
 def _joined(path: Path, sequence: int, take: Take, people: list[Aligned], calibration: Calibration) -> _AlignedTake:

@@ -63,8 +63,6 @@ def run(command: Align) -> None:
 
     if not command.recordings:
         raise ConfigError("there is nothing to align", hint="name one or more recordings")
-    if twice := [path for number, path in enumerate(command.recordings) if path in command.recordings[:number]]:
-        raise ConfigError(f"{twice[0]} is named twice", hint="its frames would be twice in the dataset; name it once")
     check_new_dataset(command.out, overwrite=command.overwrite)
     refuse_inputs("--report", command.report, command.calibration, *command.recordings)
     if command.report is not None and command.report.exists() and not command.overwrite:
