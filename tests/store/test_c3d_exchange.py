@@ -72,6 +72,24 @@ def test_codes_come_in_the_order_of_the_file(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("codes", "told"),
+    [(("S07",), "has no code for A, who keep their names"), (("S07", "S08", "S09"), "has 2 subjects: of S09 there is nothing")],
+)
+def test_too_few_and_too_many_codes_are_told(codes: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    path = stranger(tmp_path / "a.c3d", labels=("B:neck", "A:toe", "*3"))
+    with pytest.warns(UserWarning, match=told):
+        rows = list(read_c3d(path, subjects=codes))
+    assert {m.subject for _, _, m in rows if isinstance(m, Markers)} == {"S07", codes[1] if codes[1:] else "A", ""}
+
+
+def test_the_longest_prefix_tells_whose_a_marker_is(tmp_path: Path) -> None:
+    labels = {"LABEL_PREFIXES": ["S1", "S10"], "NAMES": ["one", "ten"]}
+    path = stranger(tmp_path / "a.c3d", labels=("S1neck", "S10toe", "*3"), SUBJECTS=labels)
+    found = {(m.subject, m.names) for _, _, m in read_c3d(path) if isinstance(m, Markers)}
+    assert found == {("one", ("neck",)), ("ten", ("toe",)), ("", ("3",))}
+
+
 @pytest.mark.parametrize("name", ["trc", "c3d"])
 @pytest.mark.parametrize(
     ("codes", "message", "hint"),

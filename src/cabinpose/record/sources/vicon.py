@@ -4,7 +4,7 @@ Time. `host_ns` is when the packet arrived. `device_ns` is the frames since the 
 regular as the cameras, on the server's frame clock. Between capture and arrival lies what the server tells (cameras,
 reconstruction, labelling: the channel `latency_s`) and the network (half of a ping's round trip, median of the last ones:
 `network_s`, NaN without pings). Both come with every frame as `Channels`, so that nothing measured is overwritten: a frame was
-captured at `host_ns − (latency_s + network_s)`, and alignment subtracts them.
+captured at `host_ns − (latency_s + network_s)`. Alignment measures the delays between sources itself.
 
 Loss. The server counts its frames: a gap in the numbers is what was lost, on the way, while the connection was away, or
 since this computer read too slowly. In pull mode a frame that is never asked for is lost as well. A packet with a malformed

@@ -132,7 +132,11 @@ class _Trial:
             _check_frames(path, parameters.get("TRIAL", {}), len(self.points))
         self.degrees = str((point.get("ANGLE_UNITS") or ["deg"])[0]).strip().lower() != "rad"
         self.channels = _names(analog, "LABELS", self.analogs.shape[1], "analog")
-        self.markers, self.models = _groups(path, parameters, self.points.shape[1], codes)
+        self.markers, self.models, named = _groups(path, parameters, self.points.shape[1], codes)
+        if codes and named[len(codes) :]:
+            self.notes.append(f"has no code for {', '.join(named[len(codes) :])}, who keep their names; give one for each")
+        if codes[len(named) :]:
+            self.notes.append(f"has {len(named)} subjects: of {', '.join(codes[len(named) :])} there is nothing")
         self.scale, unit_because = self._metres(path, point)
         self.up, because = (up, "given") if up is not None else self._upright(_screen_axis(path, point))
         about = {
@@ -330,8 +334,8 @@ def _names(group: Mapping[str, Any], parameter: str, count: int, fallback: str) 
 
 def _groups(
     path: Path, parameters: Mapping[str, Mapping[str, Any]], count: int, codes: Sequence[str]
-) -> tuple[dict[str, _Points], dict[tuple[str, str], _Points]]:
-    """The points of each subject, and those that models added by (parameter, subject)."""
+) -> tuple[dict[str, _Points], dict[tuple[str, str], _Points], list[str]]:
+    """The points of each subject, those that models added by (parameter, subject), and the subjects' names in the file."""
     point, about = parameters.get("POINT", {}), parameters.get("SUBJECTS", {})
     prefixes = [str(prefix) for prefix in about.get("LABEL_PREFIXES") or []]
     people = [str(name).strip() for name in about.get("NAMES") or []]
@@ -346,7 +350,7 @@ def _groups(
     markers: dict[str, _Points] = {}
     models: dict[tuple[str, str], _Points] = {}
     for column, label in enumerate(labels):
-        prefix = next((prefix for prefix in of_prefix if label.startswith(prefix)), None)
+        prefix = max((prefix for prefix in of_prefix if label.startswith(prefix)), key=len, default=None)
         if prefix is not None:
             subject, name = of_prefix[prefix], label[len(prefix) :]
         elif label.startswith("*"):
@@ -361,6 +365,7 @@ def _groups(
     return (
         {code.get(subject, subject): part for subject, part in markers.items()},
         {(kind, code.get(subject, subject)): part for (kind, subject), part in models.items()},
+        list(subjects),
     )
 
 
