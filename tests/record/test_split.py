@@ -144,6 +144,23 @@ def test_a_missing_file_is_said(tmp_path: Path, run: Run) -> None:
     assert run("export", "csv", files[0], "--out", tmp_path / "csv").code == 2
 
 
+@pytest.mark.parametrize("content", [b"", b"no recording"])
+def test_a_file_that_was_cut_at_its_start_keeps_none_of_the_others(content: bytes, tmp_path: Path) -> None:
+    """As a machine leaves it that loses its power while the next file is begun."""
+    files = write_split(tmp_path)
+    files[-1].write_bytes(content)
+    for path in (files[0], tmp_path):
+        with pytest.warns(UserWarning, match=rf"{files[-1].name} is no recording of cabinpose; it is left out") as told:
+            assert files_of_take(path) == files[:-1]
+        assert len(told) == 1
+    (tmp_path / "else.mcap").write_bytes(content)
+    with pytest.warns(UserWarning, match=r"else\.mcap is no recording"):
+        assert files_of_take(tmp_path) == files[:-1]
+    files[1].write_bytes(content)
+    with pytest.warns(UserWarning, match="it is left out"), pytest.raises(RecordingError, match=r"take-001\.mcap is missing"):
+        files_of_take(files[0])
+
+
 def test_files_that_only_look_like_parts_are_not_taken(tmp_path: Path) -> None:
     """One of another take that got the name of a part, and one whose number is not that of its name."""
     files, others = write_split(tmp_path), write_split(tmp_path, "other.mcap", started_ns=2)

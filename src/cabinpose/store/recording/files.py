@@ -56,7 +56,8 @@ def files_of_take(path: Path, *, damaged: Literal["raise", "skip"] = "raise") ->
     Raises
     ------
     RecordingError
-        For a folder without a take or with several, a file that cannot be read, and a missing one.
+        For a folder without a take or with several, a file that cannot be read, and one that is missing between others. Others
+        that cannot be read are left out, with a warning.
     """
     first = _first_in(path) if path.is_dir() else path
     head = _head(first)
@@ -74,13 +75,17 @@ def files_of_take(path: Path, *, damaged: Literal["raise", "skip"] = "raise") ->
 
 def _first_in(folder: Path) -> Path:
     """The first file of the only take in a folder."""
-    firsts = [file for file in sorted(folder.glob("*.mcap")) if not _head(file).part]
+    heads = {file: _head_beside(file) for file in sorted(folder.glob("*.mcap"))}
+    firsts = [file for file, head in heads.items() if isinstance(head, Head) and not head.part]
     if len(firsts) != 1:
         names = ", ".join(file.name for file in firsts)
         raise RecordingError(
             f"{folder} holds {len(firsts)} takes, not one" if firsts else f"{folder} holds no first file of a take",
             hint=f"name one of {names}" if firsts else "name the file that is to be read",
         )
+    for file in sorted(heads.keys() - set(parts_beside(firsts[0]).values())):  # of those it is told where they are looked at
+        if isinstance(error := heads[file], RecordingError):
+            _left_out(error)
     return firsts[0]
 
 
@@ -91,8 +96,23 @@ def _head(file: Path) -> Head:
 
 def _goes_on(first: Head, part: int, file: Path) -> bool:
     """Whether a file is a part of the take that begins with `first`: not one of another take with the same name."""
-    head = _head(file)
+    head = _head_beside(file)
+    if isinstance(head, RecordingError):
+        _left_out(head)
+        return False
     return (head.part, head.started_ns) == (part, first.started_ns)
+
+
+def _head_beside(file: Path) -> Head | RecordingError:
+    """What a file beside others says of itself, or why it says nothing: a crash may have cut it at its start."""
+    try:
+        return _head(file)
+    except RecordingError as error:
+        return error
+
+
+def _left_out(error: RecordingError) -> None:
+    warnings.warn(f"{error}; it is left out", stacklevel=4)
 
 
 def read_head(scanner: Scanner) -> Head:
