@@ -194,6 +194,15 @@ def test_metres_and_centimetres() -> None:
             )
 
 
+def test_a_unit_that_is_set_holds_without_poses() -> None:
+    """A stream of centres of mass and velocities alone, which tell no size."""
+    for datagram in Streamer(MvnEmulatorSettings(meta_every_s=0, centimetres=True, kinds=(21, 24)), generated("walk")).sample(5):
+        (set_,), (unknown,) = (decode(datagram.data, Decoder(position_unit=unit)) for unit in ("cm", "auto"))
+        for name in ("values", "velocity", "acceleration"):
+            if hasattr(set_, name):
+                np.testing.assert_allclose(100 * getattr(set_, name), getattr(unknown, name), atol=1e-12)
+
+
 def test_an_object_takes_the_others_unit() -> None:
     decoder = Decoder()
     (body,) = Streamer(MvnEmulatorSettings(meta_every_s=0, centimetres=True), generated()).sample(0)

@@ -179,7 +179,7 @@ class Decoder:
     def _poses(self, header: Header, names: tuple[str, ...], position: F64, orientation: F64) -> tuple[Message, ...]:
         """Poses in the world, of a unit that has to be settled with the first of them."""
         facts = () if header.character in self._scale_m else self._decide_unit(header.character, names, position)
-        position = position * self._scale_m.get(header.character, 1.0)
+        position = position * self._metres(header.character)
         return (*facts, SegmentPoses(self.subject(header.character), names, position, orientation))
 
     def _points_of(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
@@ -194,7 +194,7 @@ class Decoder:
         return (JointAngles(self.subject(header.character), names, np.radians(of["angles_deg"])),)
 
     def _linear(self, header: Header, ids: Ids, of: Fields) -> tuple[Message, ...]:
-        scale, names = self._scale_m.get(header.character, 1.0), self._named(header, ids)
+        scale, names = self._metres(header.character), self._named(header, ids)
         velocity, acceleration = of["velocity"] * scale, of["acceleration"] * scale
         return (SegmentKinematics(self.subject(header.character), names, velocity, acceleration, _NONE3, _NONE3),)
 
@@ -211,7 +211,7 @@ class Decoder:
         return (SensorReadings(self.subject(header.character), names, orientation, acceleration, gyro, of["magnetic_field"]),)
 
     def _centre_of_mass(self, header: Header, payload: bytes) -> tuple[Message, ...]:
-        position = mvn.read_centre_of_mass(payload)[:3] * self._scale_m.get(header.character, 1.0)
+        position = mvn.read_centre_of_mass(payload)[:3] * self._metres(header.character)
         names = tuple(f"{self.subject(header.character)}.centre_of_mass.{axis}" for axis in "xyz")
         return (Channels(names, position),)
 
@@ -235,6 +235,10 @@ class Decoder:
                 for p in scale.points
             ]
         return (Facts(self.subject(header.character), values),)
+
+    def _metres(self, character: int) -> float:
+        """Metres to the unit of a character's positions; while it is not known, what the setting says, or metres."""
+        return self._scale_m.get(character, CM if self._setting == "cm" else 1.0)
 
     def _named(self, header: Header, ids: NDArray[np.integer]) -> tuple[str, ...]:
         key = (ids.tobytes(), header.body, header.props, header.fingers)
