@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cabinpose.core import AlignmentError
 
 F64 = NDArray[np.float64]
+_MOST_HZ = 10_000.0  # of a common clock; suits and optical systems have 1 kHz at most
 
 
 def resample_positions(
@@ -98,6 +99,8 @@ def common_clock(spans: Iterable[Sequence[float] | F64], rate_hz: float) -> F64:
     ends = np.array([(span[0], span[-1]) for span in spans], np.float64).reshape(-1, 2)
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise AlignmentError(f"a clock cannot tick at {rate_hz} Hz", hint="give a rate above 0")
+    if rate_hz > _MOST_HZ:
+        raise AlignmentError(f"no system gives {rate_hz:g} samples a second", hint=f"give a rate up to {_MOST_HZ:g} Hz")
     if not len(ends) or not np.isfinite(ends).all():
         raise AlignmentError("a common clock needs the first and last time of each series", hint="leave out empty series")
     start, end = ends[:, 0].max(), ends[:, 1].min()

@@ -112,6 +112,8 @@ def run(command: EvaluateSse | EvaluateSfe | EvaluateDse | EvaluateDfe) -> None:
 
     if not command.takes:
         raise ConfigError("there is nothing to evaluate", hint="give a recording or a file; --help shows how")
+    if command.seed < 0:
+        raise ConfigError(f"{command.seed} is no seed", hint="give 0 or more")
     refuse_existing(command.out, "index.html", "report.json", overwrite=command.overwrite)
     with progress() as report:
         report.phase("reading and comparing")

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cabinpose.core import AlignmentError, unknown_name
+from cabinpose.core import AlignmentError, ConfigError, unknown_name
 from cabinpose.evaluate.mocap.result import Errors, Judgement, judgement
 from cabinpose.evaluate.mocap.stillness import still_windows, turning_speed
 from cabinpose.signals import conjugate, mean_orientation, product, turn_about
@@ -100,6 +100,8 @@ def sse_run(
     """
     if axis not in AXES:
         raise unknown_name("axis", axis, list(AXES))
+    if samples is not None and samples < 1:
+        raise ConfigError(f"{samples} samples of a step are none", hint="give a number above 0, or 0 for all of them")
     time, q = np.asarray(time_s, np.float64), np.asarray(orientation_wxyz, np.float64)
     marks = np.zeros(len(time), np.int64) if step is None else np.asarray(step, np.int64)
     if step is None and reference_rad is None:
