@@ -46,15 +46,24 @@ def frames_of(distance: float, count: int) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
 
 
-def record(path: Path, distance: float, count: int = 40, sources: tuple[str, ...] = ("tof",)) -> Path:
+def record(
+    path: Path, distance: float, count: int = 40, sources: tuple[str, ...] = ("tof",), size: tuple[int, int] = (96, 72)
+) -> Path:
+    """size: of the part of the image that is kept, px."""
+    part = slice(size[1]), slice(size[0])
     with RecordingWriter(path, started_ns=NOW, chunking=Chunking(sync_s=0)) as writer:
         for i, f in enumerate(frames_of(distance, count)):
-            depth = np.round(np.nan_to_num(f["depth"]) / STEP_M).astype(np.uint16)
+            depth = np.round(np.nan_to_num(f["depth"][part]) / STEP_M).astype(np.uint16)
             none = np.zeros((0, 0), np.uint8)
-            message = ToFFrame(depth, STEP_M, f["amplitude"], none, f["camera_k"], np.zeros(5), np.zeros(5))
+            message = ToFFrame(depth, STEP_M, f["amplitude"][part], none, f["camera_k"], np.zeros(5), np.zeros(5))
             for source in sources:
                 assert writer.write(source, Sample(i, NOW + 1_000_000 * i, None, b"", (message,))) == []
     return path
+
+
+def two_lenses(frames: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    for i, frame in enumerate(frames):
+        yield frame | ({"camera_k": frame["camera_k"] * [[1.2], [1.2], [1.0]]} if i % 2 else {})
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +110,18 @@ def test_recordings_become_configurations(walls: list[Path], sensor: Path, tmp_p
     assert f"cabinpose synth --config {out / 'physical.yaml'}" in words.err
 
 
+def test_a_preset_keeps_what_is_of_no_other_lens(walls: list[Path], tmp_path: Path, run: Run) -> None:
+    """Its image circle is that of its own lens, and its filter has been at work before the walls were recorded."""
+    preset = tmp_path / "preset.yaml"
+    preset.write_text("camera: {sensor: {preset: pico_monstar_105, spatial_filter: mean}}\n")
+    done = run("calibrate-noise", *walls, "--sensor", preset, "--dark", "--out", tmp_path / "noise")
+    assert done.code == 0, done.err
+    for kind in ("empirical", "physical"):
+        sensor = SynthConfig.load(tmp_path / "noise" / f"{kind}.yaml").camera.sensor_model
+        assert (sensor.camera.width, sensor.field_radius_px, sensor.spatial_filter) == (96, None, "none")
+    assert "spatial_filter of --sensor is left out" in done.err
+
+
 def test_synth_generates_with_what_was_fitted(walls: list[Path], sensor: Path, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "noise"
     assert run("calibrate-noise", *walls, "--sensor", sensor, "--dark", "--out", out).code == 0
@@ -124,6 +145,10 @@ def test_one_dataset_of_all_distances(tmp_path: Path, run: Run) -> None:
                 yield blank_frame(manifest) | blank | seen
 
     folder = import_source(Source(tmp_path / "none", manifest, frames), tmp_path / "walls")
+    mixed = import_source(Source(tmp_path / "none", manifest, lambda: two_lenses(frames())), tmp_path / "mixed")
+    refused = run("calibrate-noise", mixed, "--out", tmp_path / "noise")
+    assert refused.code == 2
+    assert f"{mixed} has frames of several cameras" in refused.err
     done = run("calibrate-noise", folder, "--out", tmp_path / "noise", "--json")
     assert done.code == 0, done.err
     told = json.loads(done.out)
@@ -136,6 +161,7 @@ def test_one_dataset_of_all_distances(tmp_path: Path, run: Run) -> None:
 def test_what_will_not_do(walls: list[Path], sensor: Path, tmp_path: Path, run: Run) -> None:
     out, short = tmp_path / "noise", record(tmp_path / "short.mcap", 1.0, 4)
     two = record(tmp_path / "two.mcap", 1.0, 2, ("left", "right"))
+    other = record(tmp_path / "other.mcap", 1.5, 10, size=(80, 60))
     for words, message, hint in (
         ((), "no wall to look at", "recordings or datasets"),
         (walls[:2], "walls at 2 distances (0.50, 0.80 m), at least 3", "five or more"),
@@ -144,6 +170,9 @@ def test_what_will_not_do(walls: list[Path], sensor: Path, tmp_path: Path, run: 
         ([two, "--source", "top"], "top", "left"),
         ([*walls, "--distances", "0.5", "0.8"], "2 distances for 4 files", "in order"),
         ([*walls, "--reflectance", "0"], "are positive", "0..1"),
+        ([*walls, "--reflectance", "75"], "1 at most", "0..1"),
+        ([*walls, "--distances", "500", "800", "1100", "1500"], "0.50 m away by its depths, and 500 m are given", "in metres"),
+        ([*walls[:3], other], "wall-0.5m and other are of two cameras: 96x72 px, fx 90.0 and 80x60 px, fx 90.0", "by itself"),
         ([*walls, "--sensor", "kinect"], "kinect", "kinect_v1"),
         ([*walls, "--sensor", "evk75023", "--distances", "1", "1", "1", "1"], "walls at 1 distance (1.00, 1.00, 1", "five"),
     ):

@@ -70,6 +70,15 @@ def test_a_term_that_is_not_there_is_not_negative() -> None:
     assert fit.noise.a_mm < 0.03
 
 
+def test_what_is_fitted_as_zero_may_be_more() -> None:
+    camera = Camera.from_fov(96, 72, 0.6)
+    frames = {z: normal_frames(np.full((72, 96), z), 3e-3 * z * z, 12) for z in (0.5, 1.0, 2.0, 4.0)}
+    found = fit_empirical([w for z in frames for w in walls_of_frames(frames[z], camera)]).parameters
+    assert found["a_mm"].value == 0.0
+    assert 0.01 < found["a_mm"].high < 0.3
+    assert found["c_mm_per_m2"].low < 3.0 < found["c_mm_per_m2"].high
+
+
 # ------------------------------------------------------------------------------------------------- the pixels' figures
 
 
@@ -151,6 +160,33 @@ def test_the_fitted_camera_has_the_noise_that_was_measured() -> None:
         assert np.nanmean(new.sigma_m) == pytest.approx(np.nanmean(old.sigma_m), rel=0.03)
 
 
+@pytest.mark.parametrize("spatial_filter", ["mean", "median"])
+def test_a_filter_is_not_laid_on_twice(spatial_filter: str) -> None:
+    """What was measured behind the camera's filter comes out of a camera without one."""
+    truth, given = small_sensor(spatial_filter=spatial_filter), PhysicalNoise(ambient=0.0, wiggling=0.0)
+    before = recorded(truth, given, (0.5, 0.9, 1.4), frames=12)
+    fit = fit_physical(before, truth, dark=True)
+    for old, new in zip(before, recorded(fit.sensor, fit.noise, (0.5, 0.9, 1.4), frames=12), strict=True):
+        assert np.nanmean(new.sigma_m) == pytest.approx(np.nanmean(old.sigma_m), rel=0.05)
+
+
+def test_amplitudes_of_zero_are_none() -> None:
+    """A dataset without amplitudes has zeros for them."""
+    sensor, given = small_sensor(), PhysicalNoise(ambient=0.0)
+
+    def seen(distance: float) -> Iterator[Frame]:
+        for i in range(12):
+            depth = simulate(wall(sensor, distance), sensor, given, rng=generator(round(10 * distance), i)).depth_m
+            yield depth, np.zeros(depth.shape, np.uint16)
+
+    walls = [w for z in (0.5, 0.9, 1.4) for w in walls_of_frames(seen(z), sensor.camera)]
+    assert all(w.amplitude is None for w in walls)
+    found = fit_physical(walls, sensor, dark=True).parameters
+    assert found["signal_e_per_s"].value == pytest.approx(sensor.signal_e_per_s, rel=0.05)
+    with pytest.raises(ConfigError, match="reflects 75"):
+        fit_physical(walls, sensor, reflectance=75.0)
+
+
 # ---------------------------------------------------------------------------------------------------- frames to walls
 
 
@@ -179,6 +215,24 @@ def test_a_given_distance_shows_the_bias() -> None:
     (found,) = walls_of_frames(normal_frames(np.full((72, 96), 1.02), 2e-3), camera, distance_m=1.0)
     assert found.distance_m == 1.0
     assert found.bias_m == pytest.approx(0.02, abs=1e-3)
+
+
+@pytest.mark.parametrize("given", [1000.0, 100.0, 3.28, 0.3])
+def test_a_given_distance_in_another_unit_is_refused(given: float) -> None:
+    camera = Camera.from_fov(96, 72, 0.6)
+    with pytest.raises(ConfigError, match=rf"1\.00 m away by its depths, and {given:g} m are given") as error:
+        walls_of_frames(normal_frames(np.full((72, 96), 1.0), 2e-3, 12), camera, distance_m=given)
+    assert "in metres" in str(error.value.hint)
+
+
+def test_pixels_of_depth_zero_are_invalid() -> None:
+    camera, rng = Camera.from_fov(96, 72, 0.6), generator(5, 5)
+    frames = [np.where(rng.random(d.shape) < 0.02, 0.0, d) for d, _ in normal_frames(np.full((72, 96), 1.0), 2e-3, 30)]
+    (zeros,), (none,) = (
+        walls_of_frames([(f, None) for f in kind], camera) for kind in (frames, [np.where(f > 0, f, np.nan) for f in frames])
+    )
+    np.testing.assert_array_equal(zeros.sigma_m, none.sigma_m)
+    assert np.nanmean(zeros.sigma_m) == pytest.approx(2e-3, rel=0.02)
 
 
 def test_the_steps_of_the_depth_are_taken_off() -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     Frames = Iterator[tuple[NDArray[Any], NDArray[Any] | None]]
 
+_SAME_LENS = 0.01  # of the focal length, by which intrinsics of one camera may differ
 _FILES = ("empirical.yaml", "physical.yaml", "fit.json", "index.html")
 
 
@@ -67,9 +68,10 @@ def run(command: CalibrateNoise) -> None:
         raise ConfigError(
             f"{len(command.distances)} distances for {len(command.walls)} files", hint="give one distance for each file, in order"
         )
-    if command.reflectance <= 0 or any(distance <= 0 for distance in command.distances):
+    if not 0 < command.reflectance <= 1 or not all(distance > 0 for distance in command.distances):
         raise ConfigError(
-            "distances and the wall's reflectance are positive", hint="give distances in metres, reflectance as 0..1"
+            "distances and the wall's reflectance are positive, and that is 1 at most",
+            hint="give distances in metres, reflectance as 0..1",
         )
     refuse_existing(command.out, *_FILES, overwrite=command.overwrite)
     sensor = None if command.sensor is None else _sensor(command.sensor)
@@ -80,9 +82,10 @@ def run(command: CalibrateNoise) -> None:
             walls += _walls(path, command, sensor, command.distances[index] if command.distances else None)
     walls.sort(key=lambda wall: wall.distance_m)
     check_distances(walls)
-    empirical, physical = fit_empirical(walls), None
+    _check_one_camera(walls)
+    empirical, physical, filtered = fit_empirical(walls), None, False
     if sensor is not None:
-        sensor = sensor.model_copy(update={"camera": walls[0].camera})
+        filtered, sensor = sensor.spatial_filter != "none", _as_recorded(sensor, walls[0].camera)
         if sensor.principle == "time_of_flight":
             physical = fit_physical(walls, sensor, reflectance=command.reflectance, dark=command.dark)
             sensor = physical.sensor
@@ -96,6 +99,8 @@ def run(command: CalibrateNoise) -> None:
     print_rows((name, _told(e)) for name, e in {**empirical.parameters, **(physical.parameters if physical else {})}.items())
     if physical is None:
         print("without a ToF camera's --sensor the figures of its pixels are not fitted", file=sys.stderr)
+    if filtered:
+        print("spatial_filter of --sensor is left out: the walls have been through it", file=sys.stderr)
     best = command.out / ("empirical.yaml" if physical is None else "physical.yaml")
     print(f"generate with it: cabinpose synth --config {best} --frames 10 --out DATASET", file=sys.stderr)
 
@@ -117,6 +122,26 @@ def _sensor(name: str) -> Sensor:
     if name.endswith((".yaml", ".yml")):
         return SynthConfig.load(Path(name)).camera.sensor_model
     return sensor_by_name(name)
+
+
+def _as_recorded(sensor: Sensor, camera: Camera) -> Sensor:
+    """A sensor with the lens of the walls, without what belongs to another lens or is in their noise already."""
+    lens: dict[str, Any] = {"camera": camera, "spatial_filter": "none"}
+    if (camera.width, camera.height) != (sensor.camera.width, sensor.camera.height):
+        lens["field_radius_px"] = None
+    return sensor.model_copy(update=lens)
+
+
+def _check_one_camera(walls: list[Wall]) -> None:
+    """ConfigError for walls of cameras whose lenses differ."""
+    import numpy as np
+
+    first = walls[0]
+    for wall in walls:
+        one, other = first.camera, wall.camera
+        if (one.width, one.height) != (other.width, other.height) or np.abs(one.k - other.k).max() > _SAME_LENS * one.fx:
+            told = " and ".join(f"{c.width}x{c.height} px, fx {c.fx:.1f}" for c in (one, other))
+            raise ConfigError(f"{first.name} and {wall.name} are of two cameras: {told}", hint="calibrate each by itself")
 
 
 def _walls(path: Path, command: CalibrateNoise, sensor: Sensor | None, distance_m: float | None) -> list[Wall]:
@@ -178,8 +203,10 @@ def _of_dataset(folder: Path) -> tuple[Camera | None, float, Frames]:
     data = open_dataset(folder)
     if "depth" not in data:
         raise DatasetError(f"{folder} has no depth", hint="give a dataset with depth images of a wall")
-    shape = data["depth"].shape[1:]
-    camera = _camera(data["camera_k"][0].values, data["camera_dist"][0].values, shape)
+    shape, k = data["depth"].shape[1:], data["camera_k"].values
+    if (abs(k - k[0]) > _SAME_LENS * k[0, 0, 0]).any():
+        raise DatasetError(f"{folder} has frames of several cameras", hint="give a dataset of one camera")
+    camera = _camera(k[0], data["camera_dist"][0].values, shape)
     amplitudes = data.get("amplitude")
     pairs = ((data["depth"][i].values, None if amplitudes is None else amplitudes[i].values) for i in range(data.sizes["frame"]))
     return camera, DEPTH_SCALE_M, pairs

@@ -124,8 +124,7 @@ def fit_empirical(walls: Sequence[Wall]) -> EmpiricalFit:
     scale = float(np.mean((error / sigma) ** 2))
     if freedom:
         scale = max(scale, float(np.sum((rows @ found - 1) ** 2)) / freedom)
-    deviation = np.zeros(3)
-    deviation[active] = np.sqrt(np.diag(np.linalg.inv(rows[:, active].T @ rows[:, active])) * scale)
+    deviation = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)) * scale)  # of what is held at 0 as well: it may be more
     reach = deviation * (stdtrit(freedom, 0.975) if freedom else 1.96)
     names = ("a_mm", "b_mm_per_m", "c_mm_per_m2")
     parameters = {
@@ -154,14 +153,18 @@ def fit_physical(walls: Sequence[Wall], sensor: Sensor, *, reflectance: float = 
     Returns
     -------
     PhysicalFit
-        `signal_e_per_s`, `illumination_exponent` (from amplitudes), `read_noise_e` or `ambient`, and the sensor with them.
+        `signal_e_per_s`, `illumination_exponent` (from amplitudes), `read_noise_e` or `ambient`, and the sensor with them. It has
+        no spatial filter: a camera's own is in the noise that was measured.
 
     Raises
     ------
     ConfigError
-        For fewer distances, for a sensor that is not a Time-of-Flight camera, and for walls whose noise is not that of one.
+        For fewer distances, a reflectance beyond 0..1, a sensor that is not a Time-of-Flight camera, and walls whose noise is
+        not that of one.
     """
     check_distances(walls)
+    if not 0 < reflectance <= 1:
+        raise ConfigError(f"a wall that reflects {reflectance:g}", hint="give reflectance as 0..1, 0.75 for white paint")
     if sensor.principle != "time_of_flight":
         raise ConfigError(
             f"sensor '{sensor.name}' is not a Time-of-Flight camera, its noise has no such figures",
@@ -194,7 +197,7 @@ def fit_physical(walls: Sequence[Wall], sensor: Sensor, *, reflectance: float = 
     parameters = _with_intervals(figures, at, covariance)
     values = {name: found.value for name, found in parameters.items()}
     fields = {name: float(f"{value:.6g}") for name, value in values.items() if name in Sensor.model_fields}
-    fitted = Sensor.model_validate(sensor.model_dump() | fields)
+    fitted = Sensor.model_validate(sensor.model_dump() | fields | {"spatial_filter": "none"})
     noise = PhysicalNoise() if dark else PhysicalNoise(ambient=float(f"{values['ambient']:.6g}"))
 
     def sigma(x: F64, vignetting: F64) -> F64:

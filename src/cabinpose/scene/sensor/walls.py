@@ -23,6 +23,7 @@ _MOVED = 0.005  # share of the distance, rms over the frames of one wall
 _ON_THE_WALL = 0.03  # what is farther from the plane, as a share of its depth, is something else: floor, ceiling, furniture
 _FLAT = 0.01  # share of the depth, rms in the middle of the image
 _SEEN = 0.95  # of the frames in which a pixel has to be valid
+_MISMEASURED = 3.0  # times the distance of the plane: beyond it a stated one is in another unit, or of another wall
 _SPREADS = 3.5  # robust standard deviations beyond which a pixel does not take part in the fit of the plane
 
 
@@ -92,8 +93,8 @@ def walls_of_frames(
     Parameters
     ----------
     frames
-        Depth (H, W) along the axis, m, NaN where invalid, and amplitude (H, W) or None, one frame in memory at a time. Frames of
-        several distances may follow each other in any order.
+        Depth (H, W) along the axis, m, 0 or NaN where invalid, and amplitude (H, W) or None, one frame in memory at a time.
+        Frames of several distances may follow each other in any order.
     camera
         Intrinsics of the depth image.
     name
@@ -111,7 +112,7 @@ def walls_of_frames(
     Raises
     ------
     ConfigError
-        Where there are too few frames, too few valid pixels, no flat wall, or a wall that moves.
+        Where there are too few frames, too few valid pixels, no flat wall, or a wall that moves, or is not where it was measured.
     """
     groups: list[_Frames] = []
     for depth, amplitude in frames:
@@ -120,6 +121,7 @@ def walls_of_frames(
                 f"{name}: frames of {depth.shape[1]}x{depth.shape[0]} pixels, a camera of {camera.width}x{camera.height}",
                 hint="give the sensor that recorded the wall, in the same mode",
             )
+        depth = np.where(depth > 0, depth, np.nan)
         middle = _middle(depth)
         if not np.isfinite(middle):
             continue
@@ -183,8 +185,14 @@ def _wall(of: _Frames, camera: Camera, name: str, step_m: float, distance_m: flo
             hint="point the camera at a flat wall that fills at least the middle third of the image",
         )
     scale = 1.0 if distance_m is None else distance_m * float(plane[2])
+    if not 1 / _MISMEASURED < scale < _MISMEASURED:
+        raise ConfigError(
+            f"{name}: the wall is {1 / float(plane[2]):.2f} m away by its depths, and {distance_m:g} m are given",
+            hint="give measured distances in metres, one for each file in order",
+        )
     sigma = np.sqrt(np.maximum(of.depth.variance - step_m**2 / 12, 0.0))
-    has_amplitude = bool((of.amplitude.count[used] > 0).all())
+    # Zeros alone are what stands in a dataset for none.
+    has_amplitude = bool((of.amplitude.count[used] > 0).all() and of.amplitude.mean[used].any())
 
     def keep(image: F64) -> F64:
         return np.where(used, image, np.nan)
