@@ -356,6 +356,27 @@ def test_yaml_that_is_none(tmp_path: Path) -> None:
         load_cabin(tmp_path / "car.yaml")
 
 
+@pytest.mark.parametrize("word", ["o", "g"])
+@pytest.mark.parametrize("materials", [False, True])
+def test_objects_of_an_obj_file_stay_apart(tmp_path: Path, word: str, materials: bool) -> None:
+    """Objects and groups are meshes with their names, whether or not they have materials."""
+    lines, boxes = (
+        ["mtllib car.mtl"] * materials,
+        {"Seat_Driver": (0.5, 0.5, 0.6), "Door": (1.5, 0.1, 1.0), "Body": (4.0, 1.7, 1.4)},
+    )
+    for number, (name, size) in enumerate(boxes.items()):
+        box = trimesh.creation.box(size)
+        lines += [f"{word} {name}", *(f"v {x} {y} {z}" for x, y, z in box.vertices), *[f"usemtl grey{number % 2}"] * materials]
+        lines += [f"f {a} {b} {c}" for a, b, c in box.faces + 8 * number + 1]
+    (tmp_path / "car.obj").write_text("\n".join(lines) + "\n")
+    (tmp_path / "car.mtl").write_text("newmtl grey0\nKd 0.5 0.5 0.5\nnewmtl grey1\nKd 0.4 0.4 0.4\n")
+    found = {m.name: np.ptp(m.vertices, axis=0) for m in read_mesh(tmp_path / "car.obj", up_axis="z", front_axis="x").meshes}
+    assert len(found) == 3
+    for name, size in boxes.items():
+        (mesh,) = (mesh for mesh in found if mesh.startswith(name))
+        assert found[mesh] == pytest.approx(size)
+
+
 def test_parts_of_a_mesh_are_called_the_same_at_every_reading(tmp_path: Path) -> None:
     """A node with several materials has several parts, which trimesh gives random names."""
     box = trimesh.creation.box((4.0, 1.6, 1.3))

@@ -15,10 +15,12 @@ import yaml
 from car_meshes import write_car
 from PIL import Image
 
-from cabinpose.app.car_check import check_car, open_directions
+from cabinpose.app.car_check import _rule, check_car, open_directions
+from cabinpose.app.cli.car import _some
 from cabinpose.app.view.car import draw_car
-from cabinpose.scene.cabin import ViewAnchor, build_cabin
+from cabinpose.scene.cabin import CabinFile, Rule, ViewAnchor, build_cabin
 from cabinpose.scene.cabin.car_draft import draft_car_file
+from cabinpose.scene.cabin.car_file import SeatSpec
 from cabinpose.scene.sensor import sensor_by_name
 
 Run = Callable[..., Any]
@@ -170,6 +172,28 @@ def test_a_view_that_looks_straight_down_is_drawn() -> None:
     drawn = [draw_car(each, (), sensor_by_name("pico_monstar_105/5").camera, {}, (), None) for each in (cabin, below)]
     assert drawn[0].shape == drawn[1].shape
     assert (drawn[0] != drawn[1]).any()
+
+
+@pytest.mark.parametrize("mesh", ["Seat (2)/cushion/Leather (black)", "seat/cushion/leather"])
+def test_a_rule_for_a_mesh_with_a_number_in_brackets(mesh: str) -> None:
+    """What a rule cuts out of a mesh is told apart by the group behind its name, not by brackets."""
+    cabin = build_cabin("suv")
+    seat, group = cabin.seats["driver"], "seat:driver/base"
+    part = replace(next(p for p in cabin.parts if p.group == group), name=mesh)
+    spec = CabinFile(mesh="suv.glb", seats={"driver": SeatSpec(h_point=(0.0, 0.0, 0.0))})
+    assert _rule(spec, cabin, seat, part, "base", 30.0, np.eye(4)).names(mesh)
+    box = ((-1.0, -1.0, 0.0), (0.0, 1.0, 1.0))
+    cut = spec.model_copy(update={"rules": (Rule(pattern="*cushion*", within=box, group=group),)})
+    rule = _rule(cut, cabin, seat, replace(part, name=f"{mesh} ({group})"), "base", 30.0, np.eye(4))
+    assert (rule.within, rule.give_mm) == (box, 30.0)
+    assert _some([f"{mesh} ({group})", mesh]) == mesh
+
+
+@pytest.mark.parametrize("name", ["my car #1.glb", "a: b.glb", "- car.glb", "[x].glb", "'x'.glb", "übersicht.glb"])
+def test_a_mesh_of_any_name_is_found_again(folder: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).symlink_to(folder / "suv.glb")
+    text = draft_car_file(tmp_path / name, tmp_path / "car.yaml").text
+    assert yaml.safe_load(text)["mesh"] == name
 
 
 def test_a_shell_that_is_not_there_is_told() -> None:

@@ -226,9 +226,10 @@ def _remedies(
 
 def _rule(spec: CabinFile, cabin: Cabin, seat: Seat, part: Part, side: SeatSide, give_mm: float, to_file: Matrix) -> Rule:
     """The rule that makes a part give way under somebody: for its whole mesh, or for the box of the seat where it is more."""
-    mesh, _, group = part.name.partition(" (")
+    mesh = part.name
     if _is_cut(part):
-        known = next(r for r in spec.rules if r.within is not None and r.names(mesh) and r.group == group.removesuffix(")"))
+        mesh = mesh.removesuffix(_cut_mark(part))
+        known = next(r for r in spec.rules if r.within is not None and r.names(mesh) and r.group == part.group)
         return known.model_copy(update={"give_mm": give_mm})
     pattern = mesh.replace("[", "[[]")
     if _share_within(part, cabin, seat) > 0.5:
@@ -264,7 +265,12 @@ def _share_within(part: Part, cabin: Cabin, seat: Seat) -> float:
 
 def _is_cut(part: Part) -> bool:
     """Whether a rule with a box made this part."""
-    return part.name.endswith(")") and " (" in part.name
+    return part.name.endswith(_cut_mark(part))
+
+
+def _cut_mark(part: Part) -> str:
+    """What `mesh_parts` puts behind the name of a mesh of which a rule took a box."""
+    return f" ({part.group})"
 
 
 def point_text(point: Floats) -> str:

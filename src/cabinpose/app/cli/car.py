@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _PICTURE = "car.png"
 _VIEWS = ("front_row", "driver", "rear")  # the picture shows a frame from the first of these that the car has
+_GROUP = re.compile(r" \((body|wheel|seat:\w+/\w+)\)$")  # behind the name of a mesh of which a rule took a box
 _NAMED = 4  # meshes of one kind that are listed by name
 
 
@@ -171,7 +173,7 @@ def _rows(report: CarReport) -> Iterator[tuple[str, str]]:
 
 def _some(meshes: Sequence[str]) -> str:
     """The first few names, each "node/geometry/material" without empty or repeated words and without the group in brackets."""
-    short = list(dict.fromkeys("/".join(dict.fromkeys(filter(None, m.partition(" (")[0].split("/")))) for m in meshes))
+    short = list(dict.fromkeys("/".join(dict.fromkeys(filter(None, _GROUP.sub("", m).split("/")))) for m in meshes))
     more = f" and {len(short) - _NAMED} more" if len(short) > _NAMED else ""
     return ", ".join(short[:_NAMED]) + more
 

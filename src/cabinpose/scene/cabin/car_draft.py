@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import yaml
 
 from cabinpose.core import OCCUPANT_SLOTS, Floats, Matrix, MeshError, apply
 from cabinpose.scene.cabin.find_seats import FoundSeat, find_seats
@@ -198,7 +199,7 @@ def _file_lines(mesh: Path, out: Path, file: MeshFile, origin: Floats, notes: Se
         return f"  # {said}"
 
     yield "# Made by `cabinpose car init`. Every key: docs/own-car.md. Then: cabinpose car check " + out.name
-    yield f"mesh: {os.path.relpath(mesh, out.parent)}"
+    yield f"mesh: {_scalar(os.path.relpath(mesh, out.parent))}"
     yield f"up_axis: {axis_name(matrix[2, :3])}{why('up axis')}"
     yield f"front_axis: {file.front_axis}{why('front axis')}"
     yield f"unit: {unit}{why('unit')}"
@@ -269,6 +270,11 @@ def _rule(what: str, low: Floats, high: Floats, group: str, label: str, material
     give = f", give_mm: {give_mm}" if give_mm else ""
     box = f"[{_list(low, 2)}, {_list(high, 2)}]"
     return f'  - {{pattern: "*", within: {box}, group: "{group}", label: {label}, material: {material}{give}}}  # {what}'
+
+
+def _scalar(text: str) -> str:
+    """Text as YAML, in quotes where it would be read as something else, such as a comment."""
+    return yaml.safe_dump(text, width=10_000, allow_unicode=True).removesuffix("...\n").strip()
 
 
 def _list(values: Sequence[float] | Floats, digits: int = 3) -> str:

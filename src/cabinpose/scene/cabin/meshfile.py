@@ -184,10 +184,13 @@ def _read(path: Path) -> list[NamedMesh]:
     if not path.is_file():
         raise MeshError(f"there is no mesh file {path}", hint="the path in the YAML counts from the YAML's folder")
     try:
-        is_gltf = path.suffix.lower() in (".glb", ".gltf")
-        if path.suffix.lower() == ".ply":
+        kind = path.suffix.lower()
+        if kind == ".ply":
             _check_ply(path)
-        meshes = _meshes_of(path, _gltf_scene(path) if is_gltf else trimesh.load_scene(path, process=False))
+        # trimesh makes one mesh of all of an OBJ file that is of one material, and names it after the first object
+        apart = {"split_objects": True, "split_groups": True} if kind == ".obj" else {}
+        is_gltf = kind in (".glb", ".gltf")
+        meshes = _meshes_of(path, _gltf_scene(path) if is_gltf else trimesh.load_scene(path, process=False, **apart))
     except (MeshError, DependencyError):
         raise
     except Exception as error:  # readers of foreign files fail in every way there is
