@@ -31,7 +31,7 @@ from cabinpose.scene.body import (
 )
 from cabinpose.scene.body import phenotype as phenotypes
 from cabinpose.scene.body.fitting import BODY_DENSITY, VOLUMES, tabulate_volumes
-from cabinpose.scene.body.populations import Anthropometry
+from cabinpose.scene.body.populations import Anthropometry, read_population
 from cabinpose.synth import subject_body
 from cabinpose.synth.config import SynthConfig
 
@@ -221,6 +221,9 @@ def test_a_teams_own_population(tmp_path: Path) -> None:
         (",cm,", ",feet,", "unknown unit of stature 'feet'"), ("mass,kg", "weight,kg", "unknown measure 'weight'"),
         ("years_to", "to", "no column years_to"), ("18,65,mass", "20,65,mass", "has no mass of female people of 18 to 65 years"),
         ("18,65", "65,18", "people of 65 to 18 years"), ("66,11", "66,110", "an SD of 110"),
+        ("stature,cm", "stature,m", "female people of 18 to 65 years are 164 m tall"), ("stature,cm", "stature,mm", "0.164 m tall"),
+        ("mass,kg", "mass,lb", "weigh 29.5 kg"), ("mean,sd\n", "mean,sd\n\nman,18,65,stature,cm,175,7\n", "line 3: unknown sex"),
+        ("mean,sd\n", "mean,sd,p3,p97\n", "column p3, p97 is not taken"),
     ],
 )  # fmt: skip
 def test_what_is_no_population_is_told(tmp_path: Path, wrong: str, right: str, told: str) -> None:
@@ -229,6 +232,45 @@ def test_what_is_no_population_is_told(tmp_path: Path, wrong: str, right: str, t
     with pytest.raises(ConfigError, match=told) as caught:
         load_population(str(path))
     assert caught.value.hint
+
+
+OF_BOTH = """sex,years_from,years_to,share,measure,unit,mean,sd,r_with_stature
+female,18,40,,stature,cm,164,6.5,0.7
+female,18,40,0.3,mass,kg,66,11,
+female,40,65,0.7,stature,cm,164,6.5,
+female,40,65,0.7,mass,kg,66,11,0.2
+"""
+
+
+def test_share_and_correlation_count_in_either_row(tmp_path: Path) -> None:
+    path = tmp_path / "ours.csv"
+    path.write_text(OF_BOTH)
+    assert [(band.share, band.r) for band in read_population("ours", path).bands] == [(0.3, 0.7), (0.7, 0.2)]
+    path.write_text(OF_BOTH.replace("40,65,0.7,mass", "40,65,0.8,mass"))
+    with pytest.raises(ConfigError, match="40 to 65 years have two values of share"):
+        read_population("ours", path)
+
+
+CURVE = """sex,years,measure,unit,L,M,S
+female,6,stature,cm,1,115,0.04
+female,6,mass,kg,-1,20,0.12
+female,8,stature,cm,1,127,0.04
+female,8,mass,kg,-1,26,0.12
+"""
+
+
+def test_a_curve_of_one_sex(tmp_path: Path) -> None:
+    path = tmp_path / "girls.csv"
+    path.write_text(CURVE)
+    girls = read_population("girls", path)
+    drawn = [girls.draw(rng=np.random.default_rng(i)) for i in range(40)]
+    assert {one.sex for one in drawn} == {"female"}
+    assert 6.0 <= min(one.years for one in drawn) < max(one.years for one in drawn) <= 8.0
+    with pytest.raises(ConfigError, match="population girls has no male people"):
+        girls.draw(rng=np.random.default_rng(0), sex="male")
+    path.write_text("\n".join(CURVE.splitlines()[:3]))
+    with pytest.raises(ConfigError, match="one age of female people"):
+        read_population("girls", path)
 
 
 def test_the_table_of_volumes_is_of_these_bodies() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -46,6 +47,7 @@ POPULATIONS = ("nhanes", "ansur", "cdc")
 _PERCENTILES = (1, 5, 10, 25, 50, 75, 90, 95, 99)
 # Normal scores of those percentiles.
 _SCORES = np.array([-2.3263479, -1.6448536, -1.2815516, -0.6744898, 0.0, 0.6744898, 1.2815516, 1.6448536, 2.3263479])
+_MEDIAN = _PERCENTILES.index(50)
 _FARTHEST = 3.0  # normal score of the most unusual person: one in 740 is as far or farther
 _ADULT_YEARS = 20.0  # from which on people of a percentile are adults of all ages
 _UNITS = {"stature": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "mass": {"kg": 1.0, "lb": 0.45359237}}
@@ -201,6 +203,8 @@ class Population:
         """A band and an age in it, by two numbers from 0 to 1."""
         low, high = years or self.years(sex)
         of_sex = self._of(sex)
+        if not of_sex:
+            raise ConfigError(f"population {self.name} has no {sex} people", hint="it has those of the other sex alone")
         first, last = self.years(sex)
         if high < first or low > last:
             raise ConfigError(
@@ -208,7 +212,8 @@ class Population:
             )
         low, high = max(low, first), min(high, last)
         if self.is_curve:
-            chosen: Sex = sex or ("male" if u[0] < 0.5 else "female")
+            sexes: tuple[Sex, ...] = tuple(dict.fromkeys(band.sex for band in reversed(of_sex)))  # male before female
+            chosen = sexes[int(u[0] * len(sexes))]
             age = low + float(u[1]) * (high - low)
             return _between([b for b in of_sex if b.sex == chosen], age), age
         # A band's share falls on its years evenly; that of a single age on the last band which holds it.
@@ -353,7 +358,7 @@ def read_population(name: str, path: Path | Traversable) -> Population:
     """
     try:
         reader = csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines())
-        rows = list(reader)
+        rows = [(reader.line_num, row) for row in reader]
         columns = tuple(reader.fieldnames or ())
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(
@@ -363,8 +368,13 @@ def read_population(name: str, path: Path | Traversable) -> Population:
     needed = _CURVE_COLUMNS if is_curve else _BAND_COLUMNS
     if missing := [column for column in needed if column not in columns]:
         raise ConfigError(f"population {path} has no column {', '.join(missing)}", hint=f"needed: {', '.join(needed)}")
+    if lost := [column for column in columns if re.fullmatch(r"p\d+", column or "") and int(column[1:]) not in _PERCENTILES]:
+        raise ConfigError(
+            f"population {path}: column {', '.join(lost)} is not taken",
+            hint=f"percentiles: {', '.join(f'p{p}' for p in _PERCENTILES)}",
+        )
     found: dict[tuple[str, float, float], dict[str, _Row]] = {}
-    for line, row in enumerate(rows, start=2):
+    for line, row in rows:
         try:
             read = _row(row, is_curve=is_curve)
         except ConfigError as error:
@@ -382,11 +392,24 @@ def read_population(name: str, path: Path | Traversable) -> Population:
                 hint="each band needs a row of stature and one of mass",
             )
         stature, mass = measures["stature"], measures["mass"]
-        r = mass.r if mass.r is not None else float(proportions().correlation[cast("Sex", sex)][0, 1])
-        bands.append(_Band(cast("Sex", sex), (start, end), stature.share, stature.values, mass.values, r))
+        whose = f"population {path}: {sex} people of {start:g} to {end:g} years"
+        told = {name: {v for m in measures.values() if (v := getattr(m, name)) is not None} for name in ("share", "r")}
+        if several := [name for name, values in told.items() if len(values) > 1]:
+            raise ConfigError(f"{whose} have two values of {several[0]}", hint="give it once, or the same in both rows")
+        middle = stature.values[_MEDIAN], mass.values[_MEDIAN]
+        if _as_bodies_are(*middle) != middle:
+            raise ConfigError(
+                f"{whose} are {middle[0]:.3g} m tall and weigh {middle[1]:.3g} kg in the median",
+                hint="stature is in m, cm or mm, mass in kg or lb, as `unit` says",
+            )
+        r = told["r"].pop() if told["r"] else float(proportions().correlation[cast("Sex", sex)][0, 1])
+        share = told["share"].pop() if told["share"] else 1.0
+        bands.append(_Band(cast("Sex", sex), (start, end), share, stature.values, mass.values, r))
     if not bands or not sum(band.share for band in bands) > 0.0:
         raise ConfigError(f"population {path} has nobody", hint="docs/populations.md has an example")
     bands.sort(key=lambda band: (band.sex, band.years))
+    if alone := [sex for sex in get_args(Sex) if is_curve and sum(band.sex == sex for band in bands) == 1]:
+        raise ConfigError(f"population {path} has one age of {alone[0]} people", hint="a curve of growth goes over two or more")
     for one, other in itertools.pairwise(bands):
         if one.sex == other.sex and other.years[0] < one.years[1]:
             raise ConfigError(
@@ -405,7 +428,7 @@ class _Row(NamedTuple):
 
     key: tuple[str, float, float]
     measure: str
-    share: float
+    share: float | None
     values: Floats
     r: float | None
 
@@ -434,7 +457,7 @@ def _row(row: Mapping[str, str | None], *, is_curve: bool) -> _Row:
     end = start if is_curve else number("years_to")
     if start < 0.0 or (end <= start and not is_curve):
         raise ConfigError(f"people of {start:g} to {end:g} years", hint="0 <= years_from < years_to")
-    share, r = number("share", 1.0), number("r_with_stature", math.inf)
+    share, r = number("share", math.inf), number("r_with_stature", math.inf)
     if share < 0.0 or (math.isfinite(r) and not -1.0 < r < 1.0):
         raise ConfigError("share or r_with_stature is out of range", hint="share is 0 or more, r_with_stature between -1 and 1")
     if is_curve:
@@ -446,7 +469,8 @@ def _row(row: Mapping[str, str | None], *, is_curve: bool) -> _Row:
         values = median * (rp.exp(rp.log(base) / power) if abs(power) > 1e-9 else rp.exp(spread * _SCORES))
     else:
         values = _distribution(measure, number)
-    return _Row((sex, start, end), measure, share, values * _UNITS[measure][unit], r if math.isfinite(r) else None)
+    given = (x if math.isfinite(x) else None for x in (share, r))
+    return _Row((sex, start, end), measure, next(given), values * _UNITS[measure][unit], next(given))
 
 
 def _distribution(measure: str, number: Callable[..., float]) -> Floats:

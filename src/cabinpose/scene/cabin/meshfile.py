@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -188,7 +189,7 @@ def _read(path: Path) -> list[NamedMesh]:
         if kind == ".ply":
             _check_ply(path)
         # trimesh makes one mesh of all of an OBJ file that is of one material, and names it after the first object
-        apart = {"split_objects": True, "split_groups": True} if kind == ".obj" else {}
+        apart: dict[str, Any] = {"split_objects": True, "split_groups": True} if kind == ".obj" else {}
         is_gltf = kind in (".glb", ".gltf")
         meshes = _meshes_of(path, _gltf_scene(path) if is_gltf else trimesh.load_scene(path, process=False, **apart))
     except (MeshError, DependencyError):
