@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from benchmarks import Say
 from cabinpose.align.calibration import Calibration, PoseCorrection
@@ -17,6 +18,7 @@ from cabinpose.app.lab.laboratory import record_session
 from cabinpose.app.lab.plan import SESSION, Plan, drive_take
 from cabinpose.app.lab.rig import ERRORS, TRACKER_ERRORS, Tracker, VirtualRig
 from cabinpose.app.lab.score import calibration_error, joint_error
+from cabinpose.core import explained
 from cabinpose.store.recording import Recording
 
 EXACT, ALL, WITH_TRACKER = "none", "all", "all, the head by the tracker"
@@ -50,7 +52,11 @@ def run(*, errors: tuple[str, ...], views: int, seconds: float, seed: int, say: 
     rigs |= {name: rig.only(name) for name in errors or [*(name for name in ERRORS if name not in _RARE), *TRACKER_ERRORS]}
     if set(TRACKER_ERRORS) & set(rigs):
         rigs[WITH_TRACKER] = rig.model_copy(update={"tracker": Tracker()})
-    plan = Plan(views=views, pendulum_s=pendulum_s, seconds=seconds, rate_hz=_TAKE_HZ, exercises=False, seed=seed)
+    asked = {"views": views, "pendulum_s": pendulum_s, "seconds": seconds, "seed": seed}
+    try:
+        plan = Plan(**asked, rate_hz=_TAKE_HZ, exercises=False)
+    except ValidationError as error:
+        raise explained(error, Plan, asked, lists="`cabinpose bench lab --help` lists them") from None
     sessions: dict[str, dict[str, Any]] = {}
     for name, each in rigs.items():
         with tempfile.TemporaryDirectory(prefix="cabinpose-lab-") as folder:

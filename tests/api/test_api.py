@@ -138,6 +138,8 @@ def test_predictions_are_opened_and_evaluated(dataset: Path, model: JointPredict
     path = write_predictions(tmp_path / "found.jsonl", predictions)
     assert isinstance(cabinpose.open(path), Predictions)
     by_file = cabinpose.evaluate_predictions(dataset, path, persons=["driver"])
+    for one in ("driver", iter(["driver"])):
+        assert cabinpose.evaluate_predictions(dataset, path, persons=one).value("PCKh", "2d") == by_file.value("PCKh", "2d")
     by_model = cabinpose.evaluate_predictions(str(dataset), "in_car", persons=["driver"])
     assert by_model.to_dict()["frames"] == by_file.to_dict()["frames"] == 3
     selection = cabinpose.open(dataset).isel(frame=[0])

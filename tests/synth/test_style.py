@@ -333,6 +333,8 @@ def test_noise_is_measured_without_the_scene() -> None:
         ({"depth_m": np.ones((64, 64)), "regions": np.full((64, 64), 3, np.uint8)}, "regions are not"),
         ({"depth_m": np.ones((64, 64), np.uint16), "regions": np.zeros((64, 64), np.uint8)}, "no image of metres"),
         ({"depth_m": np.zeros((64, 64)), "regions": np.zeros((64, 64), np.uint8)}, "fewer than a tenth"),
+        ({"depth_m": np.full((64, 64), 1800.0), "regions": np.zeros((64, 64), np.uint8)}, "half of its depths are beyond 50"),
+        ({"depth_m": np.ones((64, 64)), "regions": np.full((64, 64), 255, np.uint8)}, "all of it is 255"),
     ],
 )
 def test_a_style_frame_without_masks_is_an_error(tmp_path: Path, arrays: dict[str, np.ndarray], says: str) -> None:
@@ -340,6 +342,21 @@ def test_a_style_frame_without_masks_is_an_error(tmp_path: Path, arrays: dict[st
     with pytest.raises(ConfigError, match=says) as caught:
         StyleFrame.read(tmp_path / "camera.npz")
     assert caught.value.hint
+
+
+@pytest.mark.parametrize(("key", "value"), [("steps", 20), ("vgg19", "vgg19.pth")])
+def test_what_is_of_an_optimisation_is_refused_beside_a_model(key: str, value: object) -> None:
+    Style.model_validate({"by": "camera.npz", key: value})
+    with pytest.raises(ConfigError, match=f"style.{key} says nothing of a model") as caught:
+        Style.model_validate({"by": "camera.onnx", key: value})
+    assert caught.value.hint
+
+
+def test_a_seed_that_is_none_is_refused_before_training(plain: Path, style: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="seed -1"):
+        fit_style(
+            StyleFrame.read(style), open_dataset(plain), tmp_path / "m.onnx", steps=1, seed=-1, vgg19=None, report=lambda *_: None
+        )
 
 
 def test_edges_are_a_region_of_their_own() -> None:

@@ -5,7 +5,7 @@ These are the names that `import cabinpose` offers; each loads what it needs whe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -169,7 +169,7 @@ def generate(
 
 
 def evaluate_predictions(
-    data: Path | str | xr.Dataset, model: Path | str | Predictions | Predictor, *, persons: Sequence[str] | None = None,
+    data: Path | str | xr.Dataset, model: Path | str | Predictions | Predictor, *, persons: Iterable[str] | str | None = None,
     options: EvaluationOptions | None = None,
 ) -> Report:  # fmt: skip
     """How good predictions are on a dataset, by the metrics of `cabinpose evaluate`.
@@ -182,7 +182,7 @@ def evaluate_predictions(
         A predictions file, predictions, the name of a model of the package, the address of one on a server
         (grpc://HOST:PORT/MODEL), or any detector that fulfils `cabinpose.core.ports.Predictor`.
     persons
-        Slots that are evaluated; default: those that the model answers for.
+        Slots that are evaluated, or one of them; default: those that the model answers for.
     options
         What counts, thresholds (`hit_px`, `hit_m`) and intervals, as `cabinpose evaluate` has them by default.
 
@@ -217,5 +217,8 @@ def evaluate_predictions(
             f"a {type(model).__name__} is no detector",
             hint="it needs name, joints, persons and predict; see core.ports.Predictor",
         )
-    chosen = options or EvaluationOptions()
-    return evaluate(dataset, model, chosen, persons=persons or shared_places(dataset, [model]), name=name)
+    chosen, places = (
+        options or EvaluationOptions(),
+        [persons] if isinstance(persons, str) else [*(() if persons is None else persons)],
+    )
+    return evaluate(dataset, model, chosen, persons=places or shared_places(dataset, [model]), name=name)

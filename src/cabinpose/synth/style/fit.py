@@ -12,6 +12,7 @@ import xarray as xr
 from scipy import ndimage
 
 from cabinpose.core import Bools, ConfigError, DatasetError, Floats32
+from cabinpose.synth.streams import check_seed
 from cabinpose.synth.style.encoder import DETAIL_PX, Loss, StyleLoss, encoder_of
 from cabinpose.synth.style.frame import REGIONS, StyleFrame, guides_of
 from cabinpose.synth.style.settings import Style
@@ -76,8 +77,8 @@ def fit_style(
 
     Raises
     ------
-    DatasetError, ModelError
-        For a dataset without these images, or other weights.
+    ConfigError, DatasetError, ModelError
+        For too few frames or steps, for a seed that is none, for a dataset without these images, or other weights.
     """
     lacking = [name for name in _NEEDED if name not in dataset]
     if lacking:
@@ -86,6 +87,7 @@ def fit_style(
     held_out = min(_HELD_OUT, count // 5)
     if held_out < 1 or steps < 1:
         raise ConfigError(f"cannot train {steps} steps on {count} frames", hint="give 5 frames or more, and a step or more")
+    check_seed(seed)
     loss = style_loss(style, encoder_of(vgg19))
     rng = np.random.Generator(np.random.Philox(key=seed))
     network = train(_drawn(dataset, count - held_out, steps, rng=rng), steps, loss, seed=seed, report=report)

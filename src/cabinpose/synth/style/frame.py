@@ -17,6 +17,7 @@ REGIONS = ("car", "human", "window")  # by their number in a style frame's masks
 NOTHING = 255  # there: the style is not taken from these pixels
 _EDGE_PX = 3  # what is as near to an edge is a silhouette
 _LEAST_PX = 64
+_FAR_M = 50.0  # half of the depths of no camera are farther: they are in mm
 _MAKE = "write it with numpy.savez(PATH, depth_m=..., regions=...): see docs/style.md"
 
 
@@ -52,6 +53,12 @@ class StyleFrame:
         if regions.shape != depth.shape or not np.isin(regions, (*range(len(REGIONS)), NOTHING)).all():
             raise ConfigError(f"{path}: regions are not 0 car, 1 human, 2 window or 255 for each pixel of the depth", hint=_MAKE)
         valid = np.isfinite(depth) & (depth > 0)
+        if not (regions != NOTHING).any():
+            raise ConfigError(f"{path}: all of it is 255, not to be learnt from", hint=_MAKE)
+        if valid.any() and np.median(depth[valid]) > _FAR_M:
+            raise ConfigError(
+                f"{path}: half of its depths are beyond {_FAR_M:g}", hint="depths are metres: divide millimetres by 1000"
+            )
         if valid.mean() < 0.1:
             raise ConfigError(f"{path}: fewer than a tenth of its pixels are valid", hint="take a frame with more depth in it")
         at = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
