@@ -14,8 +14,10 @@ from cabinpose.app.adapt import tuning
 from cabinpose.app.adapt.facts import facts_of
 from cabinpose.app.adapt.scenes import in_their_light, their_scenes, with_fitted_noise
 from cabinpose.app.api import SAMPLE
+from cabinpose.app.cli.adapt import Adapt, _next_command
 from cabinpose.core import ConfigError
 from cabinpose.store import open_dataset, read_predictions
+from cabinpose.synth import SynthConfig
 
 Run = Callable[..., Any]
 
@@ -39,6 +41,15 @@ def test_the_first_call_tells_what_differs_and_what_is_next(run: Run, tmp_path: 
     assert (again.code, "already has index.html" in again.err) == (2, True)
 
 
+def test_what_is_next_says_all_that_was_said() -> None:
+    first = Adapt(
+        model="room", dataset=Path("my frames"), out=Path("out"), intrinsics=(90.0, 90.0, 47.5, 35.5), unit="mm", rate_hz=30.0
+    )
+    assert _next_command(first) == (
+        "cabinpose adapt room 'my frames' --out out --intrinsics 90.0 90.0 47.5 35.5 --unit mm --rate-hz 30.0 --train --resume"
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -46,6 +57,9 @@ def test_the_first_call_tells_what_differs_and_what_is_next(run: Run, tmp_path: 
         ("in_car sample --scenes no.yaml", "--scenes is of --train"),
         ("in_car sample --look 3", "--look 3 is too few"),
         ("in_car sample --rate-hz 0", "is no rate"),
+        ("in_car sample --learn generated", "--learn is of --train"),
+        ("in_car sample --train --learn pseudo-labels --noise no.yaml", "--noise is of generated frames"),
+        ("in_car sample --seed -1", "seed -1 is not"),
         ("paf sample --train", "not gone on with"),
         ("in_car sample --fov-deg 90", "says nothing of a dataset"),
         ("in_car nothing", "nothing"),
@@ -85,6 +99,12 @@ def test_scenes_have_their_lens_place_and_noise() -> None:
     same, told = with_fitted_noise(config, theirs, 1)  # single frames: nothing tells the noise over time
     assert same == config
     assert "the preset's" in told.words
+    law = SynthConfig.parse({"noise": {"kind": "empirical", "a_mm": 2.0}})  # of walls, without --sensor
+    fitted = their_scenes(theirs, theirs, ("driver",), measured=law)
+    assert (fitted.camera.sensor_model, fitted.noise) == (sensor, law.noise)
+    preset = SynthConfig.parse({"camera": {"sensor": "evk75023"}, "noise": {"ambient": 0.3}})
+    known = their_scenes(theirs, theirs, ("driver",), measured=preset).camera.sensor_model
+    assert (known.range_m, known.camera) == ((0.3, 4.0), theirs.camera)
     with pytest.raises(ConfigError, match="people in cars"):
         their_scenes(theirs, theirs, ("standing",))
 

@@ -16,7 +16,7 @@ from cabinpose.app.adapt import stages
 from cabinpose.app.adapt.decision import compared_errors, decide, floating, found_only, limb_spread, unsteadiness
 from cabinpose.app.adapt.pseudo_labels import Course, Rules, choose, course_of, inconsistent, labelled
 from cabinpose.app.adapt.stages import learning, some_rows
-from cabinpose.core import CABINPOSE, Visibility
+from cabinpose.core import CABINPOSE, ConfigError, Visibility
 from cabinpose.estimate.augment import move
 from cabinpose.estimate.batch import Batch, ray_tensor
 from cabinpose.estimate.data import StoredFrames
@@ -103,6 +103,8 @@ def test_frames_follow_each_other_by_time_and_sequence() -> None:
     assert course_of(dataset).group.tolist() == [0, 0, 1, 2, 2, 2]
     untimed = dataset.assign_coords(sync_ns=("frame", np.zeros(6, np.int64)))
     assert len(set(course_of(untimed).group)) == 6
+    with pytest.raises(ConfigError, match="frames that have times"):
+        course_of(dataset, 10.0)
     assert course_of(untimed, 10.0).group.tolist() == [0, 0, 0, 1, 1, 1]
     assert np.diff(course_of(untimed, 10.0).time_s) == pytest.approx(0.1)
 

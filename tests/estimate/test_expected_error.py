@@ -185,6 +185,10 @@ def test_from_the_command_line(
     known = np.array([name in told["joints"] for name in said.joints])
     there = np.isfinite(said.joints_3d).all(axis=-1)
     assert (np.isfinite(said.expected_error_m) == (there & known)).all()
+    monkeypatch.setattr("cabinpose.evaluate.trained_ranges", lambda *_: "0-11")
+    assert main([*command, "--overwrite", "--json"]) == 0
+    (warning,) = json.loads(capsys.readouterr().out.splitlines()[-1])["warnings"]
+    assert warning.startswith("the model was trained on 12 of these 24 frames")
     assert main(["models", str(out)]) == 0
     assert f"of {len(told['joints'])} joints, from 24 frames of spheres" in capsys.readouterr().out
     assert main([*command[:-1], str(tmp_path / "m.txt")]) == 2

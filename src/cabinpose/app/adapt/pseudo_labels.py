@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cabinpose.core import ANATOMY, CABINPOSE, Visibility
+from cabinpose.core import ANATOMY, CABINPOSE, ConfigError, Visibility
 from cabinpose.store import Predictions
 
 Mask = NDArray[np.bool_]
@@ -66,10 +66,15 @@ def is_found(found: Predictions) -> Mask:
 
 
 def course_of(dataset: xr.Dataset, rate_hz: float | None = None) -> Course:
-    """How the frames of a dataset follow each other: by their times, or by a rate where they have none."""
+    """How the frames of a dataset follow each other: by their times, or by a rate where they have none.
+
+    Raises ConfigError for a rate beside times.
+    """
     number, sequence, stamp = (dataset[name].values.astype(np.int64) for name in ("frame", "sequence", "sync_ns"))
     if (stamp == _NEVER_NS).all():
         time = np.full(len(number), np.nan) if rate_hz is None else number / rate_hz
+    elif rate_hz is not None:
+        raise ConfigError("--rate-hz says nothing of frames that have times", hint="leave out --rate-hz")
     else:
         time = (stamp - stamp.min()) * 1e-9
     apart = np.diff(time)

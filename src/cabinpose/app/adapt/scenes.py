@@ -78,8 +78,9 @@ def their_scenes(
     field = theirs.field_px if theirs.field_px < _CIRCLE * corner else None
     sensor = Sensor(name="their_camera", camera=lens, range_m=(0.5 * low, 2 * high), field_radius_px=field)
     if measured is not None:
-        sensor = measured.camera.sensor_model.model_copy(update={"camera": lens, "field_radius_px": field})
         noise = measured.noise
+        if "sensor" in measured.camera.model_fields_set:  # not where the law of walls alone was fitted
+            sensor = measured.camera.sensor_model.model_copy(update={"camera": lens, "field_radius_px": field})
     if base is not None:
         camera = base.camera.model_copy(update={"sensor": sensor})
         return base.model_copy(update={"camera": camera, "noise": noise})

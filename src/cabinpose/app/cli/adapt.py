@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 _FILES = ("index.html", "report.json")
 _LABELS = "pseudo-labels.jsonl"
 _ADAPTED, _MADE, _RUN = "adapted.onnx", "generated", "run"
+_LEARNT: Literal["both"] = "both"  # by default
 _MINUTES = 3  # of the default budget
 _LEAST = {"frames": 20, "epochs": 1, "look": 8, "threads": 1}
 
@@ -45,7 +47,7 @@ class Adapt(ReadsFrames):
     """Folder of the results."""
     train: bool = False
     """Fine-tune; needs the extra `train`."""
-    learn: Literal["both", "generated", "pseudo-labels"] = "both"
+    learn: Literal["both", "generated", "pseudo-labels"] = _LEARNT
     """With --train: what is learnt from."""
     frames: int = 600
     """With --train: frames to generate."""
@@ -85,9 +87,15 @@ def run(command: Adapt) -> None:
 
 def _check(command: Adapt) -> None:
     """What is wrong with the words, before any frame is read."""
+    from cabinpose.synth import check_seed
+
+    of_scenes = {"--scenes": command.scenes, "--noise": command.noise}
     if not command.train:
-        given = {"--scenes": command.scenes, "--noise": command.noise, "--threads": command.threads}
-        refuse(given, "{} is of --train")
+        learn = None if command.learn == _LEARNT else command.learn
+        refuse({**of_scenes, "--threads": command.threads, "--learn": learn}, "{} is of --train")
+    elif command.learn == "pseudo-labels":
+        refuse(of_scenes, "{} is of generated frames, and --learn pseudo-labels has none")
+    check_seed(command.seed)
     for name, least in _LEAST.items():
         value = getattr(command, name)
         if value is not None and value < least:
@@ -218,5 +226,14 @@ def _tell(command: Adapt, look: FirstLook, outcome: Adaptation | None) -> None:
     if outcome is not None:
         print(f"hold it against labelled frames: cabinpose evaluate DATASET --model {command.out / _ADAPTED}", file=sys.stderr)
     else:
-        words = f"cabinpose adapt {command.model} {command.dataset} --out {command.out} --train --resume"
-        print(f"fine-tune to them (about {_MINUTES} CPU minutes): {words}", file=sys.stderr)
+        print(f"fine-tune to them (about {_MINUTES} CPU minutes): {_next_command(command)}", file=sys.stderr)
+
+
+def _next_command(command: Adapt) -> str:
+    """The same command with --train, for a shell."""
+    looked = {name: getattr(command, name) for name in ("rate_hz", "look", "reference")}
+    given = command.said() | {name: value for name, value in looked.items() if value != getattr(Adapt, name)}
+    words = ["cabinpose", "adapt", command.model, str(command.dataset), "--out", str(command.out)]
+    for name, value in given.items():
+        words += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return shlex.join([*words, "--train", "--resume"])

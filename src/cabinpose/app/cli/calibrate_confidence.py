@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,8 +52,8 @@ def run(command: CalibrateConfidence) -> None:
 
     from cabinpose.app.cli.selection import opened, selected
     from cabinpose.estimate import FEWEST, METADATA_KEY, fit_expected_error, load_model, write_copy
-    from cabinpose.evaluate import EvaluationOptions
-    from cabinpose.store import with_drive_side
+    from cabinpose.evaluate import EvaluationOptions, trained_ranges, trained_words
+    from cabinpose.store import in_ranges, with_drive_side
 
     check_output(command.out, parents=False)
     options = EvaluationOptions(presence=command.presence)
@@ -64,6 +65,8 @@ def run(command: CalibrateConfidence) -> None:
         raise ModelError(f"{command.out} exists", hint="--overwrite replaces it, or give another file with --out")
     dataset = with_drive_side(selected(opened(command.dataset), command))  # whose seat it is, is no question of how far off
     frames = dataset.sizes["frame"]
+    if learnt := int(in_ranges(trained_ranges(model, dataset), dataset["frame"].values).sum()):
+        warnings.warn(f"{trained_words(learnt, frames)}, and more than it will expect", stacklevel=2)
     with progress(frames, "frames") as report:
         known, error_m, joints = _measured(dataset, model, options, report)
     table = fit_expected_error(known, error_m, joints)
