@@ -114,6 +114,7 @@ def test_own_sensor_from_plain_data() -> None:
     [
         ({"range_m": (2.0, 1.0)}, "empty"),
         ({"frequencies_hz": ()}, "no modulation frequency"),
+        ({"integration_s": 450.0}, "an exposure of 450 s is longer than a frame"),
         ({"frequencies_hz": (60e6, 60e6)}, "do not unwrap"),
         ({"frequencies_hz": (80e6, 61.7e6)}, "do not unwrap"),
     ],

@@ -118,6 +118,11 @@ class Sensor(BaseModel):
                 f"sensor '{self.name}': the second integration, {self.second_integration_s} s, is not the shorter one",
                 hint=f"give second_integration_s below integration_s, {self.integration_s}",
             )
+        if self.principle == "time_of_flight" and self.integration_s > 1 / self.fps:
+            raise ConfigError(
+                f"sensor '{self.name}': an exposure of {self.integration_s:g} s is longer than a frame at {self.fps:g} frames/s",
+                hint="give integration_s in seconds: 450 µs are 450.0e-6",
+            )
         if self.principle == "time_of_flight" and not self.frequencies_hz:
             raise ConfigError(f"sensor '{self.name}' has no modulation frequency", hint="give one or two frequencies_hz")
         if len(self.frequencies_hz) == 2:
