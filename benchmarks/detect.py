@@ -80,7 +80,7 @@ def run(
         if "fresh" not in skip and not lacking:
             ours |= _fresh(folder, threads)
         others = {} if "peers" in skip or lacking else _peers(folder, threads)
-        others |= _peers_in_files(peer, threads)
+        others |= _peers_in_files(peer, threads, taken=[*ours, *others])
         subjects = ours | others
         if not subjects:
             raise ConfigError("there is nothing to measure", hint="give --model FILE, or install the extra `train`")
@@ -144,13 +144,17 @@ def _peers(folder: Path, threads: int) -> dict[str, Subject]:
     return subjects
 
 
-def _peers_in_files(named: Sequence[str], threads: int) -> dict[str, Subject]:
-    """Those of `--peer NAME=FILE.onnx`; ConfigError for other words, and for a graph that takes images of any size."""
+def _peers_in_files(named: Sequence[str], threads: int, taken: Sequence[str]) -> dict[str, Subject]:
+    """Those of `--peer NAME=FILE.onnx`; ConfigError for other words or names that are taken, and for a graph that takes images of
+    any size.
+    """
     subjects: dict[str, Subject] = {}
     for words in named:
         name, _, file = words.partition("=")
-        if not name or not file or name in subjects:
+        if not name or not file or name in (*subjects, *taken):
             raise ConfigError(f"{words} names no network of others", hint="give --peer NAME=FILE.onnx, each name once")
+        if not Path(file).is_file():
+            raise ConfigError(f"there is no network {file}", hint="give --peer NAME=FILE.onnx")
         subjects[name] = PeerNetwork(Path(file), threads=threads, weights="file", sees="")
     return subjects
 

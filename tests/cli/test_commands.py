@@ -326,6 +326,21 @@ def test_bench_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPatch) ->
     assert run("bench", "synth").out.splitlines() == ["frames_per_s      123.4", "stages_ms.render  5.0"]
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("live --frames 0", "--frames 0 measures nothing"), ("remote --frames -1", "--frames -1 measures nothing"),
+        ("record --rate-mb 0", "--rate-mb 0 measures nothing"), ("record --folder nowhere", "there is no folder nowhere"),
+        ("lab --views 1", "views: must be greater than or equal to 6"),
+    ],
+)  # fmt: skip
+def test_a_bench_of_nothing_is_refused(words: str, told: str, run: Run) -> None:
+    code, out, err = run("bench", *words.split())
+    assert (code, out) == (2, "")
+    assert told in err
+    assert "hint:" in err
+
+
 def test_bench_detect_passes_its_flags_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, object] = {}
     stages = {"input": 0.25, "network": 3.5, "decode": 0.25}

@@ -15,6 +15,7 @@ from cabinpose.app.cli.output import print_json, print_rows, print_table
 from cabinpose.app.extras import require
 from cabinpose.core import ConfigError
 
+_MAY_BE_0 = ("seed", "memory_frames")
 _STAGES = ("input", "network", "decode", "checks")
 
 
@@ -137,6 +138,11 @@ def run(
     extras = {"record": ("record", "bench"), "lab": ("record",), "live": ("record",), "cluster": ("cluster", "train")}
     require(*extras.get(name, (name,) if name in ("remote", "studio") else ()))
     flags = {key: value for key, value in vars(command).items() if key != "as_json"}
+    for key, value in flags.items():
+        if key not in _MAY_BE_0 and isinstance(value, int | float) and value <= 0 and not isinstance(value, bool):
+            raise ConfigError(f"--{key.replace('_', '-')} {value:g} measures nothing", hint="give more than 0")
+    if isinstance(command, BenchRecord) and command.folder is not None and not command.folder.is_dir():
+        raise ConfigError(f"there is no folder {command.folder}", hint="give one on the disk to measure")
     if isinstance(command, BenchDetect):
         flags["skip"] = tuple(each for each in ("fresh", "peers") if flags.pop(f"skip_{each}"))
     result = _benchmark(name).run(**flags, say=lambda words: print(words, file=sys.stderr))
