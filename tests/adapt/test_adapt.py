@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -107,6 +108,17 @@ def test_scenes_have_their_lens_place_and_noise() -> None:
     assert (known.range_m, known.camera) == ((0.3, 4.0), theirs.camera)
     with pytest.raises(ConfigError, match="people in cars"):
         their_scenes(theirs, theirs, ("standing",))
+
+
+def test_amplitudes_of_zero_say_nothing_of_the_light() -> None:
+    dataset = open_dataset(SAMPLE).isel(frame=slice(4))
+    dark = dataset.assign(amplitude=dataset["amplitude"] * 0)
+    dark["depth"] = dark["depth"].where(dark["frame"] > 0)  # nothing in the first frame
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = facts_of(dark)
+    assert np.isnan(found.light)
+    assert found.noise_m == pytest.approx(facts_of(dataset.isel(frame=slice(1, 4))).noise_m)
 
 
 def test_amplitudes_come_into_their_unit() -> None:

@@ -75,10 +75,11 @@ def facts_of(dataset: xr.Dataset, groups: NDArray[np.int64] | None = None) -> Ca
         raise DatasetError("no pixel of the frames has a depth", hint="`cabinpose view` shows them; see --unit for depth images")
     camera = camera_of(dataset.isel(frame=0), depth.shape[2], depth.shape[1])
     field = ndimage.binary_erosion(valid.mean(axis=0) > _SEEN, iterations=2)
-    step = _step(depth[0])
+    step = _step(depth[int(valid.any(axis=(1, 2)).argmax())])
     mixed, noise = zip(*(_of_frame(image, field, step) for image in depth if np.isfinite(image).any()), strict=True)
-    amplitude = dataset["amplitude"].isel(frame=rows).values if "amplitude" in dataset else None
-    light = np.nan if amplitude is None else float(np.median((amplitude * depth**2)[valid & (amplitude > 0)]))
+    amplitude = dataset["amplitude"].isel(frame=rows).values if "amplitude" in dataset else np.zeros(depth.shape, np.uint16)
+    lit = valid & (amplitude > 0)
+    light = float(np.median(amplitude[lit] * depth[lit] ** 2)) if lit.any() else np.nan
     low, middle, high = np.quantile(depth[valid], (0.05, 0.5, 0.95)).tolist()
     told = np.histogram(np.minimum(depth[valid], BINS_M[-1] - 1e-6), BINS_M)[0] / valid.sum()
     still = still_noise(_pairs(dataset, groups), step) if groups is not None else np.zeros((0, 2))
