@@ -61,6 +61,11 @@ def record(
     return path
 
 
+def in_steps(frames: Iterator[dict[str, Any]], step_m: float) -> Iterator[dict[str, Any]]:
+    for frame in frames:
+        yield frame | {"depth": np.round(frame["depth"] / step_m) * np.float32(step_m)}
+
+
 def two_lenses(frames: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     for i, frame in enumerate(frames):
         yield frame | ({"camera_k": frame["camera_k"] * [[1.2], [1.2], [1.0]]} if i % 2 else {})
@@ -145,6 +150,8 @@ def test_one_dataset_of_all_distances(tmp_path: Path, run: Run) -> None:
                 yield blank_frame(manifest) | blank | seen
 
     folder = import_source(Source(tmp_path / "none", manifest, frames), tmp_path / "walls")
+    coarse = import_source(Source(tmp_path / "none", manifest, lambda: in_steps(frames(), 5e-3)), tmp_path / "coarse")
+    stepped = run("calibrate-noise", coarse, "--out", tmp_path / "coarse-noise", "--json")
     mixed = import_source(Source(tmp_path / "none", manifest, lambda: two_lenses(frames())), tmp_path / "mixed")
     refused = run("calibrate-noise", mixed, "--out", tmp_path / "noise")
     assert refused.code == 2
@@ -154,6 +161,8 @@ def test_one_dataset_of_all_distances(tmp_path: Path, run: Run) -> None:
     told = json.loads(done.out)
     assert [round(w["distance_m"], 1) for w in told["walls"]] == [0.6, 0.9, 1.3]
     assert "physical" not in told
+    for wall, rounded in zip(told["walls"], json.loads(stepped.out)["walls"], strict=True):
+        assert rounded["sigma_mm"] == pytest.approx(wall["sigma_mm"], rel=0.03)
     assert sorted(path.name for path in (tmp_path / "noise").iterdir()) == ["empirical.yaml", "fit.json", "index.html"]
     assert SynthConfig.load(tmp_path / "noise" / "empirical.yaml").noise.kind == "empirical"
 

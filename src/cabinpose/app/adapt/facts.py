@@ -75,7 +75,7 @@ def facts_of(dataset: xr.Dataset, groups: NDArray[np.int64] | None = None) -> Ca
         raise DatasetError("no pixel of the frames has a depth", hint="`cabinpose view` shows them; see --unit for depth images")
     camera = camera_of(dataset.isel(frame=0), depth.shape[2], depth.shape[1])
     field = ndimage.binary_erosion(valid.mean(axis=0) > _SEEN, iterations=2)
-    step = _step(depth[int(valid.any(axis=(1, 2)).argmax())])
+    step = step_of(depth[int(valid.any(axis=(1, 2)).argmax())])
     mixed, noise = zip(*(_of_frame(image, field, step) for image in depth if np.isfinite(image).any()), strict=True)
     amplitude = dataset["amplitude"].isel(frame=rows).values if "amplitude" in dataset else np.zeros(depth.shape, np.uint16)
     lit = valid & (amplitude > 0)
@@ -104,8 +104,8 @@ def _median(values: Sequence[float]) -> float:
     return float(np.median(known)) if known.size else np.nan
 
 
-def _step(depth: F64) -> float:
-    """The least difference of two depths, m: the step in which they were recorded."""
+def step_of(depth: F64) -> float:
+    """The least difference of two depths, m (NaN invalid): the step in which they were recorded."""
     different = np.diff(np.unique(depth[np.isfinite(depth)].round(7)))
     return float(different.min()) if different.size else 0.0
 

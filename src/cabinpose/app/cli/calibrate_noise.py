@@ -198,6 +198,7 @@ def _of_recording(path: Path, source: str | None) -> tuple[Camera | None, float,
 
 def _of_dataset(folder: Path) -> tuple[Camera | None, float, Frames]:
     """The same of a dataset."""
+    from cabinpose.app.adapt.facts import step_of
     from cabinpose.store import DEPTH_SCALE_M, open_dataset
 
     data = open_dataset(folder)
@@ -209,7 +210,8 @@ def _of_dataset(folder: Path) -> tuple[Camera | None, float, Frames]:
     camera = _camera(k[0], data["camera_dist"][0].values, shape)
     amplitudes = data.get("amplitude")
     pairs = ((data["depth"][i].values, None if amplitudes is None else amplitudes[i].values) for i in range(data.sizes["frame"]))
-    return camera, DEPTH_SCALE_M, pairs
+    step_m = max(step_of(data["depth"][0].values), DEPTH_SCALE_M)  # of images that were imported that of their own unit
+    return camera, step_m, pairs
 
 
 def _plain(walls: list[Wall], empirical: EmpiricalFit, physical: PhysicalFit | None) -> dict[str, Any]:
