@@ -24,13 +24,13 @@ from .phenotype import YEARS_LIMITS as YEARS_LIMITS
 from .phenotype import Phenotype as Phenotype
 from .phenotype import age_of as age_of
 from .phenotype import usual_stature_m as usual_stature_m
-from .populations import DIMENSIONS as DIMENSIONS
 from .populations import POPULATIONS as POPULATIONS
 from .populations import STATURE_LIMITS_M as STATURE_LIMITS_M
 from .populations import Anthropometry as Anthropometry
 from .populations import Population as Population
-from .populations import Sex as Sex
 from .populations import load_population as load_population
+from .proportions import DIMENSIONS as DIMENSIONS
+from .proportions import Sex as Sex
 from .rig import BONE_INDEX as BONE_INDEX
 from .rig import BONES as BONES
 from .rig import DOF_INDEX as DOF_INDEX

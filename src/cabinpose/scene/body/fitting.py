@@ -18,7 +18,8 @@ from cabinpose.scene.body.asymmetry import asymmetric
 from cabinpose.scene.body.faces import with_face
 from cabinpose.scene.body.measures import MeasuredRows, measure, measured_rows
 from cabinpose.scene.body.phenotype import Phenotype, usual_stature_m
-from cabinpose.scene.body.populations import DIMENSIONS, Anthropometry, Sex, proportions
+from cabinpose.scene.body.populations import Anthropometry
+from cabinpose.scene.body.proportions import DIMENSIONS, Sex, proportions
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, MAIN_BONES, N_MAIN, PARENT, SIDES
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
 from cabinpose.scene.body.skeleton import HEAD_OF, rest_arrays

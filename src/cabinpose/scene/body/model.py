@@ -24,7 +24,7 @@ from cabinpose.scene.body.kinematics import RestArrays, main_frames
 from cabinpose.scene.body.measures import measure, measured_rows
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
-from cabinpose.scene.body.populations import DIMENSIONS
+from cabinpose.scene.body.proportions import DIMENSIONS
 from cabinpose.scene.body.rig import BONE_INDEX, BONES, DOF_INDEX, DOFS, N_MAIN
 from cabinpose.scene.body.shape import ShapeSpace, load_shape_space
 from cabinpose.scene.body.skeleton import CLOSING, rest_arrays, rig_points

@@ -9,7 +9,8 @@ from types import MappingProxyType
 import numpy as np
 
 from cabinpose.core import ConfigError, unknown_name
-from cabinpose.scene.body.populations import STATURE_LIMITS_M, Anthropometry, Sex, load_population
+from cabinpose.scene.body.populations import STATURE_LIMITS_M, Anthropometry, load_population
+from cabinpose.scene.body.proportions import Sex
 
 # Drawn from these unless the user says otherwise: people as they are met, not the corners of the shape space.
 DEFAULT_RANGES = MappingProxyType(

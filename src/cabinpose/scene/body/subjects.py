@@ -12,7 +12,8 @@ from typing import NamedTuple, cast
 
 from cabinpose.scene.body.outfit import Outfit
 from cabinpose.scene.body.phenotype import Phenotype
-from cabinpose.scene.body.populations import POPULATIONS, Sex, load_population
+from cabinpose.scene.body.populations import POPULATIONS, load_population
+from cabinpose.scene.body.proportions import Sex
 
 
 class Subject(NamedTuple):
