@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from cabinpose.app.cli import main
 from cabinpose.app.label.labelling import Labelling
@@ -78,8 +80,35 @@ def test_placed_joint_lies_behind_the_measured_surface(workspace: Workspace, lab
     assert labelling.shown(0, DRIVER)[joint].origin == "label"
 
 
-def test_joint_outside_the_image_has_no_depth(labelling: Labelling) -> None:
-    assert np.isnan(labelling.place(0, DRIVER, "head", -40.0, 10.0).xyz).all()
+def test_joint_outside_the_image_is_told_so_and_has_no_depth(labelling: Labelling) -> None:
+    """However it was seen before; back in the image it is visible."""
+    label = labelling.place(0, DRIVER, "head", -40.0, 10.0)
+    assert np.isnan(label.xyz).all()
+    assert label.visibility == Visibility.OUTSIDE_IMAGE
+    assert labelling.place(0, DRIVER, "head", 40.0, 10.0).visibility == Visibility.VISIBLE
+
+
+def test_joint_without_a_place_in_the_image_is_not_seen_there(labelling: Labelling) -> None:
+    labelling.mark(0, DRIVER, "head", Visibility.ABSENT)
+    labelling.place(0, DRIVER, "neck", 10.0, -20.0)
+    for joint in ("head", "neck"):
+        with pytest.raises(DatasetError, match="no place in the image"):
+            labelling.mark(0, DRIVER, joint, Visibility.OCCLUDED)
+    labelling.mark(0, DRIVER, "head", Visibility.OUTSIDE_IMAGE)  # which is where no image shows it
+
+
+def test_accepting_keeps_a_joint_behind_the_camera(workspace: Workspace) -> None:
+    """Outside the image, with a place in space and none in the image: it was taken for absent."""
+    assert workspace.dataset is not None
+    behind = workspace.dataset.copy(deep=True)
+    column = [str(n) for n in behind["joint"].values].index("hip")
+    behind["joints_2d"].values[0, 0, column], behind["visibility"].values[0, 0, column] = np.nan, Visibility.OUTSIDE_IMAGE
+    labelling = Labelling(behind, workspace.labels)
+    labelling.accept(0, DRIVER)
+    label = workspace.labels.get(0, DRIVER, "hip")
+    assert label is not None
+    assert label.visibility == Visibility.OUTSIDE_IMAGE
+    np.testing.assert_array_equal(label.xyz, behind["joints_3d"].values[0, 0, column])
 
 
 def test_mark_keeps_the_place_but_for_absent(labelling: Labelling) -> None:
@@ -200,8 +229,16 @@ def test_copy_takes_the_last_labelled_frame(labelling: Labelling) -> None:
     assert label.uv == (44.0, 55.0)
 
 
+def as_one_motion(dataset: xr.Dataset) -> xr.Dataset:
+    """Frames as those of a recording: one sequence, of the same people and one camera."""
+    people = np.broadcast_to(dataset["subject"].values[0], dataset["subject"].shape)
+    return dataset.assign_coords(
+        sequence=("frame", np.zeros(6, int)), pov=("frame", ["driver"] * 6), subject=(dataset["subject"].dims, people)
+    )
+
+
 def test_interpolation_is_straight_in_space(workspace: Workspace, labelling: Labelling) -> None:
-    labelling.dataset = labelling.dataset.assign_coords(sequence=("frame", np.zeros(6, int)))  # of a recording: one sequence
+    labelling.dataset = as_one_motion(labelling.dataset)
     labelling.accept(0, DRIVER)
     labelling.accept(4, DRIVER)
     assert labelling.interpolate(2, DRIVER) == 3
@@ -218,6 +255,27 @@ def test_interpolation_is_straight_in_space(workspace: Workspace, labelling: Lab
     labelling._truth.cache_clear()
     labelling.undo()
     assert labelling.interpolate(2, DRIVER) == 0  # never from one sequence into another
+
+
+def test_nothing_is_interpolated_between_scenes_of_their_own(labelling: Labelling) -> None:
+    """Generated frames are all of sequence 0, of other people each."""
+    labelling.accept(0, DRIVER)
+    labelling.accept(4, DRIVER)
+    assert labelling.interpolate(2, DRIVER) == 0
+
+
+def test_what_has_a_place_in_one_frame_alone_is_not_seen_on_the_way(labelling: Labelling) -> None:
+    labelling.dataset = as_one_motion(labelling.dataset)
+    labelling.accept(0, DRIVER)
+    labelling.accept(4, DRIVER)
+    labelling.mark(0, DRIVER, "rwrist", Visibility.ABSENT)
+    labelling.place(4, DRIVER, "lwrist", -200.0, 100.0)  # it leaves the image, and is in it until then
+    assert labelling.interpolate(2, DRIVER) == 3
+    assert [labelling.labels.get(row, DRIVER, "rwrist") for row in (2, 3)] == [None, None]
+    for row in (1, 2, 3):
+        label = labelling.labels.get(row, DRIVER, "lwrist")
+        assert label is not None
+        assert (label.visibility == Visibility.OUTSIDE_IMAGE) == (label.uv[0] < -0.5)
 
 
 def test_proposals_come_before_the_dataset_and_after_labels(workspace: Workspace, labelling: Labelling) -> None:
@@ -237,6 +295,23 @@ def test_unsure_frames_come_first(workspace: Workspace, labelling: Labelling) ->
     labelling.use(predictions)
     assert labelling.unsure(range(6))[0] == 5
     assert labelling.unsure([0, 1, 3])[0] == 3
+
+
+def test_proposals_of_a_model_that_was_changed_meanwhile_are_not_shown(workspace: Workspace, labelling: Labelling) -> None:
+    """What a thread finds with the model of before is its own answer, and nothing is what a model finds that is gone."""
+    before = truth_as_predictions(workspace, shift=3.0)
+
+    class Slow(Predictions):
+        def take(self, numbers: Any) -> Any:
+            labelling.use(truth_as_predictions(workspace, shift=9.0))
+            return super().take(numbers)
+
+    labelling.use(Slow(**vars(before)))
+    labelling.unsure([0])
+    dataset = workspace.dataset
+    assert dataset is not None
+    proposal = labelling.proposals(0)[DRIVER]["head"]
+    assert proposal.uv[0] - dataset["joints_2d"].sel(person=DRIVER, joint="head").values[0, 0] == pytest.approx(9.0, abs=1e-3)
 
 
 def test_label_far_from_what_the_model_sees_is_suspicious(workspace: Workspace, labelling: Labelling) -> None:

@@ -39,7 +39,7 @@ def recorded(generated: Path, tmp_path: Path) -> Path:
             frame["depth"] = np.rint(np.nan_to_num(one["depth"].values) / DEPTH_SCALE_M).astype(np.uint16)
             for name in ("joints_2d", "joints_3d", "visibility", "camera_k", "camera_dist"):
                 frame[name] = one[name].values
-            frame["subject"], frame["action"] = one["subject"].values.tolist(), one["action"].values.tolist()
+            frame["subject"], frame["action"] = made["subject"].values[0].tolist(), one["action"].values.tolist()
             yield frame
 
     return import_source(Source(generated, manifest, frames), tmp_path / "recorded")

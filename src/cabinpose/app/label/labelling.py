@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from cabinpose.align import visibility
-from cabinpose.core import CABINPOSE, JOINTS, Camera, Predictor, Visibility, images_of, surface_depth
+from cabinpose.core import CABINPOSE, JOINTS, Camera, DatasetError, Predictor, Visibility, images_of, surface_depth
 from cabinpose.evaluate import frame_batch
 from cabinpose.store import Change, JointLabel, Key, Labels, Predictions, camera_of
 
@@ -107,6 +107,7 @@ class Labelling:
         self._measured = 0  # changes of the journal that they hold
         self._kept: set[str] = set()  # times of changes all of whose joints somebody else has set since
         self.model: Predictor | Predictions | None = None
+        self._uses = 0  # of models and joints, which a thread that began before does not answer for
         self._proposed = lru_cache(_REMEMBERED)(self._propose)
 
     # ------------------------------------------------------------------------------------------------ what holds
@@ -127,11 +128,11 @@ class Labelling:
         return Shown(joint, held, "dataset" if held is not None else "none")
 
     def held(self, row: int, person: str, joint: str) -> JointLabel | None:
-        """What the dataset says of a joint."""
+        """What the dataset says of a joint; of one outside the image its place in it may be unknown."""
         at = self.persons.index(person), self.columns[joint]
         truth = self._truth(row)
         state = Visibility(int(truth.visibility[at]))
-        if state == Visibility.ABSENT or not np.isfinite(truth.joints_2d[at]).all():
+        if state == Visibility.ABSENT or (state > Visibility.OUTSIDE_IMAGE and not np.isfinite(truth.joints_2d[at]).all()):
             return None
         (u, v), (x, y, z) = truth.joints_2d[at].tolist(), truth.joints_3d[at].tolist()
         return JointLabel((u, v), (x, y, z), state)
@@ -166,7 +167,10 @@ class Labelling:
     # ------------------------------------------------------------------------------------------------ changes
 
     def place(self, row: int, person: str, joint: str, u: float, v: float) -> JointLabel:
-        """Put a joint at a pixel; in 3D as far behind the measured surface as it was held to be, else at its usual depth."""
+        """Put a joint at a pixel; in 3D as far behind the measured surface as it was held to be, else at its usual depth.
+
+        Beside the image it is outside of it, however it was seen before.
+        """
         now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
         state = now.visibility if now is not None and now.visibility > Visibility.OUTSIDE_IMAGE else Visibility.VISIBLE
         label = self.moved(row, joint, (u, v), now, state)
@@ -175,7 +179,8 @@ class Labelling:
 
     def moved(self, row: int, joint: str, uv: tuple[float, float], now: JointLabel | None, state: Visibility) -> JointLabel:
         """The label of a joint at another pixel than now, see `place`."""
-        return JointLabel(uv, self._lifted(self._frame(row), joint, uv, now), state)
+        seen = state if self._camera(row).contains(np.array(uv)) else Visibility.OUTSIDE_IMAGE
+        return JointLabel(uv, self._lifted(self._frame(row), joint, uv, now), seen)
 
     def take_in(self, changes: Sequence[tuple[Key, JointLabel | None]]) -> None:
         """Make labels of what came from elsewhere; one step of undo."""
@@ -183,8 +188,13 @@ class Labelling:
             self._set(changes, "imported")
 
     def mark(self, row: int, person: str, joint: str, state: Visibility) -> None:
-        """Say how a joint is seen; absent: the person has no such joint here, and it loses its place."""
+        """Say how a joint is seen; absent: the person has no such joint here, and it loses its place.
+
+        Raises DatasetError for one that has no place in the image and shall be in it.
+        """
         now = self._one(row, person, joint, self.proposals(row).get(person, {}), {}).label
+        if state > Visibility.OUTSIDE_IMAGE and (now is None or not self._camera(row).contains(np.array(now.uv))):
+            raise DatasetError(f"{joint} has no place in the image", hint="place it there first")
         label = nowhere(state) if now is None or state == Visibility.ABSENT else replace(now, visibility=state)
         self._set([((int(self.numbers[row]), person, joint), label)], "marked")
 
@@ -213,11 +223,12 @@ class Labelling:
     def interpolate(self, row: int, person: str) -> int:
         """Label the frames between the labelled ones on both sides of this row, joints on straight lines in 3D, else in 2D.
 
-        Only within a sequence; the number of frames that were labelled.
+        Only within a sequence of one person in one car, seen by one camera; a joint that has a place in one of both frames alone
+        gets none. The number of frames that were labelled.
         """
         keys = self.key_frames(person)
         before, after = [k for k in keys if k <= row], [k for k in keys if k > row]
-        if not before or not after or self._truth(before[-1]).sequence != self._truth(after[0]).sequence:
+        if not before or not after or not self._is_one_motion(slice(before[-1], after[0] + 1), person):
             return 0
         first, last = before[-1], after[0]
         changes: list[tuple[Key, JointLabel | None]] = []
@@ -228,12 +239,19 @@ class Labelling:
                 a, b = (self.labels.get(int(self.numbers[k]), person, joint) for k in (first, last))
                 if a is None or b is None:
                     continue
-                key = int(self.numbers[between]), person, joint
-                if key not in self.labels:
-                    changes.append((key, _between(a, b, share, camera)))
+                key, label = (int(self.numbers[between]), person, joint), _between(a, b, share, camera)
+                if key not in self.labels and label is not None:
+                    changes.append((key, label))
         if changes:
             self._set(changes, "interpolated")
         return last - first - 1
+
+    def _is_one_motion(self, rows: slice, person: str) -> bool:
+        """Whether frames may show somebody who moves: scenes of their own are of one sequence as well, but of several people."""
+        at = self.persons.index(person)
+        columns = (self.dataset[name].values[rows] for name in ("sequence", "car", "pov", "subject"))
+        each = (column if column.ndim == 1 else column[:, at] for column in columns)
+        return all(len(set(values.tolist()) - {""}) <= 1 for values in each)
 
     def check(self) -> None:
         """Raise DatasetError where a change could not be kept: the dataset or the journal is another one, or gone."""
@@ -288,20 +306,21 @@ class Labelling:
 
     def use(self, model: Predictor | Predictions | None) -> None:
         """Take proposals from a detector, from a predictions file, or from nothing."""
-        self.model = model
+        self.model, self._uses = model, self._uses + 1
         self._proposed.cache_clear()
 
     def proposals(self, row: int) -> dict[str, dict[str, JointLabel]]:
         """What the model sees in a frame, by person and joint; empty without a model."""
-        return {} if self.model is None else self._proposed(row)[0]
+        return {} if self.model is None else self._proposed(row, self._uses)[0]
 
     def unsure(self, rows: Sequence[int]) -> list[int]:
         """Rows, the one whose least sure joint is least sure first; a frame in which somebody is not found comes before all."""
-        return sorted(rows, key=lambda row: self._proposed(row)[1]) if self.model is not None else list(rows)
+        return sorted(rows, key=lambda row: self._proposed(row, self._uses)[1]) if self.model is not None else list(rows)
 
-    def _propose(self, row: int) -> tuple[dict[str, dict[str, JointLabel]], float]:
+    def _propose(self, row: int, _uses: int) -> tuple[dict[str, dict[str, JointLabel]], float]:
         model = self.model
-        assert model is not None
+        if model is None:  # taken away while a thread asks
+            return {}, -1.0
         if isinstance(model, Predictions):
             batch = model.take(self.numbers[row : row + 1])
         else:
@@ -423,9 +442,17 @@ def _states(camera: Camera, depth: NDArray[np.float32], xyz: dict[str, NDArray[n
     return {joint: Visibility(told.get(joint) or Visibility.VISIBLE) for joint in xyz}
 
 
-def _between(a: JointLabel, b: JointLabel, share: float, camera: Camera) -> JointLabel:
-    """A label on the way from one to another; how it is seen is taken from the nearer one."""
+def _between(a: JointLabel, b: JointLabel, share: float, camera: Camera) -> JointLabel | None:
+    """A label on the way from one to another, seen as the nearer one; None where only one of them has a place."""
+    near, far = (a, b) if share < 0.5 else (b, a)
+    state = near.visibility
     xyz = (1 - share) * np.array(a.xyz) + share * np.array(b.xyz)
     uv = camera.project(xyz) if np.isfinite(xyz).all() else (1 - share) * np.array(a.uv) + share * np.array(b.uv)
+    if state > Visibility.OUTSIDE_IMAGE and not camera.contains(uv):
+        if not np.isfinite(uv).all():
+            return None
+        state = Visibility.OUTSIDE_IMAGE
+    elif state == Visibility.OUTSIDE_IMAGE and camera.contains(uv):
+        state = far.visibility
     (u, v), (x, y, z) = uv.tolist(), xyz.tolist()
-    return JointLabel((u, v), (x, y, z), (a if share < 0.5 else b).visibility)
+    return JointLabel((u, v), (x, y, z), state)
