@@ -722,6 +722,23 @@ def until(what: Callable[[], Any], seconds: float = 60.0) -> None:
 
 
 @pytest.mark.slow
+def test_nothing_is_generated_of_what_is_wrong_or_beside_another(tmp_path: Path) -> None:
+    """The configuration of before the mistake would be made, and the first run ended without a word."""
+    room = SceneRoom(None)
+    room.editor.folder = tmp_path
+    room.editor.set(("scene", "cars"), ["no_car"])
+    with pytest.raises(ConfigError, match="nothing is made of what is wrong: "):
+        room.generate("made", 4)
+    assert room.generation is None
+    room.editor.undo()
+    room.generate("made", 40)
+    with pytest.raises(ConfigError, match="made is being made"):
+        room.generate("other", 4)
+    room.stop()
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.slow
 def test_generation_is_cancelled_and_resumed(tmp_path: Path, run: Callable[..., Any]) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("scene: {cars: [suv]}\noutput: {frames_per_part: 2}\n")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import zipfile
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import httpx
@@ -24,8 +26,10 @@ from starlette.testclient import TestClient
 
 from cabinpose.app.label.labelling import Labelling
 from cabinpose.app.studio.canvas import MOST_INPUTS, FrameCanvas, input_routes
+from cabinpose.app.studio.choice import Choice, as_dataset
 from cabinpose.app.studio.clouds import cloud_routes
-from cabinpose.app.studio.exchange import MOST_BYTES
+from cabinpose.app.studio.exchange import MOST_BYTES, zipped
+from cabinpose.app.studio.live_session import LiveRoom, Shown
 from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
 from cabinpose.app.studio.page import TABS, shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
@@ -66,11 +70,17 @@ def off_by(workspace: Workspace, shift_cm: Any) -> Predictions:
     )
 
 
-def used(workspace: Workspace, steps: Callable[[User], Awaitable[None]]) -> None:
-    """Open the page and take the steps of a user."""
+def used(
+    workspace: Workspace,
+    steps: Callable[[User], Awaitable[None]],
+    *shared: Any,
+    address: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """Open the page and take the steps of a user; shared: in place of what the browsers of a studio share of a tab."""
 
     async def simulate() -> None:
-        async with user_simulation(lambda: studio_page(workspace, shared_by(workspace), {}, "w")) as user:
+        each = [*shared, *shared_by(workspace)]
+        async with user_simulation(lambda: studio_page(workspace, each, address, "w")) as user:
             # What is computed beside the page may come late where the machine has more to do; it is waited for as long as that.
             vars(user).update(should_see=partial(user.should_see, retries=40))
             await user.open("/")
@@ -244,6 +254,58 @@ def test_worst_frames_of_predictions_are_labelled_first(workspace: Workspace) ->
     used(workspace, steps)
 
 
+def test_keys_that_come_while_frames_are_ordered_are_for_whom_is_seen(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another person, then other joints, in an order that takes its time: shown at once; the order asked for last holds."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slowly(*given: Any) -> FrameErrors:
+        begun.set()
+        go_on.wait(10.0)
+        return frame_errors(*given)
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("frame 0, 1 of 6")
+        monkeypatch.setattr("cabinpose.app.studio.label_tab.frame_errors", slowly)
+        marked(user, "order").set_value("worst:oracle")
+        await asyncio.to_thread(begun.wait, 10.0)
+        marked(user, "person").set_value("front_passenger")
+        marked(user, "joint set").set_value("wrists and hips")
+        await asyncio.sleep(0.1)
+        (seen,) = label_canvas(user).props["people"]
+        assert [joint["name"] for joint in seen["joints"]] == list(CABINPOSE.sets["wrists and hips"])
+        marked(user, "order").set_value("open")
+        await asyncio.sleep(0.1)
+        user.find("Accept").click()
+        await user.should_see("frame 1, 2 of 6")
+        go_on.set()
+        await asyncio.sleep(1.0)
+        await user.should_see("frame 1, 2 of 6")
+        assert {key[:2] for key in workspace.labels.now} == {(0, "front_passenger")}
+
+    used(workspace, steps)
+
+
+def test_a_model_that_proposes_nothing_here_says_so(workspace: Workspace) -> None:
+    """Of other people; and one that cannot be opened is not the one that is chosen."""
+    workspace.predictions["strangers"] = replace(workspace.predictions["oracle"], persons=tuple("abcde"))
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("frame 0, 1 of 6")
+        marked(user, "proposals").set_value("file:strangers")
+        await user.should_see("it proposes nothing: it knows a, b, c, d, e; here are driver, front_passenger")
+        marked(user, "proposals").set_options({**marked(user, "proposals").options, "gone.onnx": "gone"})
+        marked(user, "proposals").set_value("gone.onnx")
+        await user.should_see("gone.onnx")
+        await asyncio.sleep(0.3)
+        assert marked(user, "proposals").value == ""
+
+    used(workspace, steps)
+
+
 def test_frame_without_the_person_is_opened_with_somebody_who_is_there(workspace: Workspace) -> None:
     assert workspace.dataset is not None
     seen = workspace.dataset["visibility"].values.copy()
@@ -271,6 +333,61 @@ def test_two_predictions_of_one_model_are_two(workspace: Workspace) -> None:
         await user.should_see("frame 3: oracle 27.0 cm, oracle (2.jsonl) 54.0 cm")
 
     used(workspace, steps)
+
+
+def test_a_run_stands_beside_a_file_of_the_same_model(workspace: Workspace, predicted: Path) -> None:
+    """Which it took the place of; what the model found here before gives way."""
+    assert workspace.add_predictions(predicted) == "in_car"
+    run = replace(workspace.predictions["oracle"], model="in_car")
+    assert [workspace.add_run(run) for _ in range(2)] == ["in_car (run here)"] * 2
+    assert list(workspace.predictions) == ["oracle", "in_car", "in_car (run here)"]
+    assert workspace.add_run(replace(run, model="paf")) == "paf"
+
+
+def test_corrected_labels_count_before_the_tab_label_is_there(workspace: Workspace, dataset_folder: Path) -> None:
+    """A studio that begins with Compare, and one beside another that has the labels."""
+    Labelling(workspace.dataset, workspace.labels).place(3, "driver", "neck", 50.0, 51.0)
+    other = open_workspace(dataset_folder)
+    for each in (other, workspace):
+        assert each.dataset is not None
+        corrected = each.corrected(each.dataset).sel(person="driver", joint="neck")["joints_2d"].values
+        assert corrected[3].tolist() == [50.0, 51.0]
+    workspace.labels.path.write_text("no journal\n")
+    with pytest.raises(DatasetError, match="not a line of JSON"):
+        other.corrected(other.dataset)
+
+
+def test_what_is_chosen_last_is_judged(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long those before take; and a reload goes on with the frame that was shown."""
+    workspace.predictions["other"] = off_by(workspace, [2.0, *[1.0] * 5])
+    go_on = threading.Event()
+
+    def slowly(*given: Any) -> FrameErrors:
+        if given[2] == "oracle":
+            go_on.wait(10.0)
+        return frame_errors(*given)
+
+    async def shows(user: User, frame: int, error: str) -> None:
+        for _ in range(40):
+            if marked(user, "frame number").text == f"frame {frame}" and f"{error} cm" in marked(user, "frame facts").content:
+                return
+            await asyncio.sleep(0.1)
+        pytest.fail(f"{marked(user, 'frame number').text}: {marked(user, 'frame facts').content}")
+
+    async def steps(user: User) -> None:
+        await shows(user, 2, ">1.0")
+        monkeypatch.setattr("cabinpose.app.studio.dataset_tab.frame_errors", slowly)
+        marked(user, "error of").set_value("oracle")
+        await asyncio.sleep(0.2)
+        marked(user, "error of").set_value("other")
+        await shows(user, 0, ">2.0")
+        go_on.set()
+        await asyncio.sleep(0.5)
+        await shows(user, 0, ">2.0")
+        marked(user, "error of").set_value("oracle")
+        await shows(user, 3, ">27.0")  # the worst of these comes first
+
+    used(workspace, steps, address={"dataset.errors": "other", "dataset.frame": "2"})
 
 
 def test_frames_in_which_one_model_is_better_are_listed(workspace: Workspace) -> None:
@@ -556,8 +673,14 @@ def test_part_that_goes_and_another_dataset_in_its_place_are_told(workspace: Wor
     assert workspace.new_frames() == 0
     manifest = read_manifest(dataset_folder).model_copy(update={"seed": 77})
     (dataset_folder / MANIFEST_NAME).write_text(with_checksum_line(manifest_yaml(manifest)))
-    with pytest.raises(DatasetError, match="is another dataset now"):
-        workspace.new_frames()
+    choice = Choice(np.arange(2), "")
+    for asks in (
+        workspace.check,
+        lambda: as_dataset(workspace, choice, dataset_folder.with_name("chosen"), labels=False),
+        lambda: zipped(workspace, workspace.dataset, dataset_folder.parent),
+    ):
+        with pytest.raises(DatasetError, match="is another dataset now"):
+            asks()
 
 
 class Notes:
@@ -719,6 +842,34 @@ def test_a_start_that_fails_leaves_its_reason_and_no_picture(dataset_folder: Pat
     assert rows
     assert {model["model"] for row in rows for model in row["models"]} == {"in_car"}
     assert not list(tmp_path.glob("live-*.mcap"))  # it is recorded already
+
+
+def test_a_run_that_was_stopped_says_how_it_ended_and_its_frames_are_labelled(dataset_folder: Path) -> None:
+    """Also where the frame that is shown cannot be among those that are kept: others are of another size."""
+    workspace = open_workspace(dataset_folder)
+    room = LiveRoom()
+
+    async def steps(user: User) -> None:
+        user.find("Live", kind=ui.tab).click()
+        user.find("Start").click()
+        await user.should_see("ended: ", retries=100)
+        user.find("Keep", kind=ui.button).click()
+        other = dict(room.kept[0].frame.batch)
+        other["depth"] = other["depth"][:, ::2]
+        room.frozen = Shown(replace(room.kept[0].frame, batch=other), ())
+        user.find("Keep", kind=ui.button).click()
+        await user.should_see("the frames that are kept have another size")
+        user.find("Stop").click()
+        await user.should_see("Label 1 kept")
+        await user.should_see("ended: ")
+        room.frozen = Shown(replace(room.kept[0].frame, batch=other), ())
+        await user.should_see("Label this and 1 kept")
+        user.find("Label this and 1 kept").click()
+        await user.should_see("0 of 1 frames done", retries=100)
+        assert room.kept == []
+
+    used(workspace, steps, room)
+    workspace.close()
 
 
 def test_the_keys_of_a_tab_are_listed(workspace: Workspace) -> None:

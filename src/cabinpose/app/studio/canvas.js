@@ -51,7 +51,7 @@ export default {
     this.observer = new ResizeObserver(() => this.fit());
     this.observer.observe(this.$refs.box);
     canvas.addEventListener("wheel", this.wheel, { passive: false });
-    for (const [name, handler] of [["pointerdown", this.down], ["pointermove", this.move], ["pointerup", this.up], ["pointerleave", this.leave]])
+    for (const [name, handler] of [["pointerdown", this.down], ["pointermove", this.move], ["pointerup", this.up], ["pointercancel", this.release], ["pointerleave", this.leave]])
       canvas.addEventListener(name, handler);
     canvas.addEventListener("dblclick", () => { this.view = null; this.kept = []; this.draw(); this.keep(); });
     this.leaveFocus = (event) => { if (!this.$refs.box.contains(event.target)) this.keeping.forEach(clearTimeout); };
@@ -263,6 +263,7 @@ export default {
       const { u, v } = this.pixel(event), drag = this.drag;
       this.tell(u, v);
       if (!drag) return;
+      if (!event.buttons) { this.release(); return; } // let go where nobody told: a menu was open
       const [dx, dy] = [event.clientX - drag.from[0], event.clientY - drag.from[1]];
       drag.moved = drag.moved || Math.hypot(dx, dy) > 3;
       if (!drag.moved) return;
@@ -275,9 +276,14 @@ export default {
       }
       this.draw();
     },
+    release() { // what came meanwhile is shown, also joints of another frame
+      this.drag = null;
+      this.take();
+    },
     up(event) {
       const drag = this.drag;
-      this.drag = null;
+      if (drag && drag.hit && drag.moved && drag.url === this.seen) this.drag = null; // it stays where it was let go until the answer
+      else this.release();
       if (drag && drag.panning) this.keep();
       if (!this.image || !drag || drag.panning) return;
       const { u, v } = this.pixel(event);

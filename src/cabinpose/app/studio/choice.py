@@ -115,6 +115,7 @@ def as_dataset(
     Raises DatasetError.
     """
     assert workspace.folder is not None
+    workspace.check()
     stored = open_dataset(workspace.folder, missing="ignore")
     words = f"{choice.words} --labels".strip() if labels else choice.words
     dataset = (workspace.corrected(stored) if labels else stored).assign_attrs({CHOSEN_BY: words})

@@ -93,11 +93,11 @@ class CompareTab:
         """Run a model over the dataset, as `predict` does."""
         workspace, name = self._workspace, str(self._model.value)
         self._run.disable()
-        self._progress.visible = True
+        self._share, self._progress.visible = 0.0, True
         try:
             found = await run.io_bound(self._predict, name)
             if found is not None:
-                workspace.predictions[found.model] = found
+                workspace.add_run(found)
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True)
         finally:
@@ -108,6 +108,7 @@ class CompareTab:
     def _predict(self, name: str) -> Predictions:
         workspace = self._workspace
         assert workspace.manifest is not None
+        workspace.check()
         model = load_choice(workspace, name)
         assert model is not None
         assert not isinstance(model, Predictions)
@@ -142,8 +143,8 @@ class CompareTab:
             with self._main:
                 empty_state("Nothing to compare yet", "Run a model on the left, or open a predictions file beside the dataset.")
             return
-        small = self._small()
         try:
+            small = self._small()
             joints, persons = common_joints(small, models), shared_places(small, models)
             options, space = self._options(), str(self._space.value)
             each = workspace.predictions.items()

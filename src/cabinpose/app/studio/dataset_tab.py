@@ -51,7 +51,7 @@ class DatasetTab:
         self._answers = self._behind = False  # whether it says that it has · whether another frame is due then
         self._errors: FrameErrors | None = None  # of the predictions that are chosen
         self._condition = page.address.get("dataset.where", "")
-        begin = page.remembered("dataset.frame", self._dataset["frame"].values.tolist())
+        self._begin = page.remembered("dataset.frame", self._dataset["frame"].values.tolist())
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
@@ -59,8 +59,7 @@ class DatasetTab:
                 self._build_main()
         self._offer_histograms(page.address.get("dataset.histogram"))
         self._filter()
-        if begin is not None and (places := np.flatnonzero(self._dataset["frame"].values[self._rows] == begin)).size:
-            self._go(int(places[0]))
+        self._go_back()
         self._predictions.value = page.remembered("dataset.errors", list(self._workspace.predictions))
         ui.keyboard(on_key=self._key, repeating=False, ignore=["input", "select", "textarea"])
         ui.timer(1.0, self._look)
@@ -125,7 +124,7 @@ class DatasetTab:
         self._range = ui.range(min=0.0, max=round(max(4.0, far), 2), step=0.01, value={"min": near, "max": far}).props("label")
         self._range.on_value_change(self._look_anew)
         ui.separator()
-        self._facts = ui.html(sanitize=False).classes("studio-facts w-full")
+        self._facts = ui.html(sanitize=False).classes("studio-facts w-full").mark("frame facts")
         ui.button("Label this frame", icon="edit", on_click=self._label_this).props("outline dense no-caps").classes("w-full")
         self._dialog = ChoiceDialog(self._workspace, self._choice)
         ui.button("Take these frames out", icon="output", on_click=self._dialog.open).props("outline dense no-caps").classes(
@@ -155,6 +154,7 @@ class DatasetTab:
             self._slider.style("flex: 1")
             ui.button(icon="chevron_right", on_click=lambda: self._go(self._position + 1)).props("flat round dense")
             self._number = ui.label().style("min-width: 150px; text-align: right; font-variant-numeric: tabular-nums")
+            self._number.mark("frame number")
         self._camera_set = False
 
     def _steps(self) -> dict[str, Callable[[], None]]:
@@ -166,6 +166,11 @@ class DatasetTab:
     def _step(self, step: int) -> None:
         self._go(self._position + step)
 
+    def _go_back(self) -> None:
+        """Show the frame that stood in the address, where it is among those that are chosen."""
+        if self._begin is not None and (places := np.flatnonzero(self._dataset["frame"].values[self._rows] == self._begin)).size:
+            self._go(int(places[0]))
+
     async def _judge(self) -> None:
         """Find how far the chosen predictions are off, which is asked for again after each change of labels by choosing anew."""
         name, self._errors = self._predictions.value, None
@@ -174,12 +179,17 @@ class DatasetTab:
                 self._errors = await run.io_bound(frame_errors, self._workspace, self._dataset, str(name))
             except CabinposeError as error:
                 ui.notify(error.in_one_line(), type="negative", multi_line=True)
+        if name != self._predictions.value:
+            return  # others were chosen meanwhile
         self._by_error.visible = self._with_found.visible = self._errors is not None
         self._page.remember({"dataset.errors": name or ""})
         self._offer_histograms()
         if self._errors is not None:
             self._over.props(f'label="over, {self._errors.unit}"')
         self._filter()
+        if name == self._page.address.get("dataset.errors"):  # after a reload
+            self._go_back()
+        self._begin = None
 
     @cached_property
     def _stored(self) -> dict[str, NDArray[Any]]:

@@ -115,6 +115,7 @@ def _corrections(labelling: Labelling, path: Path) -> Corrections:
 def zipped(workspace: Workspace, dataset: xr.Dataset, folder: Path) -> Path:
     """The zip, in a folder, of a COCO export of all frames with the labels that hold."""
     assert workspace.manifest is not None
+    workspace.check()
     stored = {variable.name for variable in workspace.manifest.stored}
     filled = [name for name in ("labels", "instance") if name not in stored]  # for the eye, by `completed`
     export = export_dataset(workspace.corrected(dataset).drop_vars(filled), "coco", folder / "coco", overwrite=True)

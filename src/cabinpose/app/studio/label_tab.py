@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 
-from cabinpose.app.label.agreement import work_of
 from cabinpose.app.label.labelling import Labelling, Shown, Undone
 from cabinpose.app.studio.canvas import GREY, IMAGE_KEYS, FrameCanvas, Input
 from cabinpose.app.studio.clouds import person_colour
 from cabinpose.app.studio.exchange import Exchange, Passing
+from cabinpose.app.studio.label_history import history_dialog
 from cabinpose.app.studio.models import choices, first_choice, frame_errors, load_choice, worst_first
 from cabinpose.app.studio.pictures import DEPTHS, GREYS
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
@@ -60,6 +60,7 @@ class LabelTab:
         self._chosen = 0
         self._queue = list(range(len(labelling.numbers)))
         self._position = 0
+        self._orderings = 0  # that were asked for: the last one holds
         self._changes_seen = len(labelling.labels.history)
         self._drawn_at = 0.0
         self._redraw: asyncio.TimerHandle | None = None
@@ -110,7 +111,7 @@ class LabelTab:
         joints = self._page.remembered("label.joints", sets) or sets[0]
         labelling.joints = labelling.sets[joints]
         self._joints = ui.select(sets, value=joints, label="joints", on_change=self._set_joints).props("dense outlined")
-        self._joints.classes("w-full")
+        self._joints.classes("w-full").mark("joint set")
         order = self._page.remembered("label.order", self._orders()) or "order"
         self._order = ui.select(self._orders(), value=order, label="frames", on_change=self._new_order).props("dense outlined")
         self._order.classes("w-full").mark("order")
@@ -254,36 +255,22 @@ class LabelTab:
         await self._reorder(self._row)
 
     def _history(self) -> None:
-        """What was done to the person in this frame, newest first, and who did what in all frames."""
-        number, history = int(self._labelling.numbers[self._row]), self._labelling.labels.history
-        changes = [c for c in history if (c.frame, c.person) == (number, self._person)][::-1]
-        with ui.dialog() as dialog, ui.card().style("max-width: 760px"):
-            ui.label(f"frame {number}, {self._person}").style("font-weight: 600")
-            if not changes:
-                ui.label("nothing was changed here")
-            rows = [{"time, UTC": c.time[:19], "role": c.role, "how": c.how, "joint": c.joint} for c in changes[:500]]
-            if rows:
-                ui.table(rows=rows).props("dense flat")
-            ui.label("all frames").style("font-weight: 600")
-            works = [
-                {
-                    "role": work.role, "frames": work.frames, "joints": work.joints, "first, UTC": work.first[:16],
-                    "last, UTC": work.last[:16], "how": ", ".join(f"{count} {how}" for how, count in work.how.items()),
-                }
-                for work in work_of(history)
-            ]  # fmt: skip
-            if works:
-                ui.table(rows=works).props("dense flat wrap-cells").mark("works")
-            else:
-                ui.label("nobody has labelled yet")
-        dialog.on("hide", dialog.delete)
-        dialog.open()
+        history_dialog(self._labelling, self._row, self._person)
 
     async def _use_model(self) -> None:
+        value = self._model.value
         try:
-            self._labelling.use(await run.io_bound(load_choice, self._workspace, self._model.value))
+            model = await run.io_bound(load_choice, self._workspace, value)
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True)
+            self._model.value = ""
+            return
+        if value != self._model.value:
+            return  # another one was chosen meanwhile
+        if model is not None and not set(model.persons) & set(self._labelling.persons):
+            whom, here = (", ".join(persons) for persons in (model.persons, self._labelling.persons))
+            ui.notify(f"it proposes nothing: it knows {whom}; here are {here}", type="warning", multi_line=True, timeout=10_000)
+        self._labelling.use(model)
         await self._reorder(self._row)
 
     async def _new_order(self) -> None:
@@ -292,24 +279,40 @@ class LabelTab:
     async def _reorder(self, at: int | None = None) -> None:
         """Bring the frames into the order that is asked for, and show the first, or the one of a row if it is among them.
 
-        Unsure ones first needs the model on all of them.
+        Unsure ones first needs the model on all of them. What is known at once is shown at once: keys and drags that come
+        meanwhile are for the person and the joints that are seen.
         """
+        self._orderings = asked = self._orderings + 1
+        self._show()
+        begin = self._row
         rows = list(range(len(self._labelling.numbers)))
         if self._order.value == "unsure":
-            if self._labelling.model is None:
-                ui.notify("choose what proposals come from: its doubts give the order")
-            else:
-                with_model = ui.notification("looking at all frames", spinner=True, timeout=None)
-                rows = await run.io_bound(self._labelling.unsure, rows) or rows
-                with_model.dismiss()
+            rows = await self._unsure(rows)
         elif self._order.value == "open":
             rows = [row for row in rows if not self._labelling.done(row, self._person)]
         elif str(self._order.value).startswith(_WORST):
             rows = await self._worst(str(self._order.value).removeprefix(_WORST)) or rows
+        if asked != self._orderings:
+            return  # another order, of another person or by another model, was asked for meanwhile
+        at = self._row if self._row != begin else at  # where somebody went meanwhile
         self._queue = rows or [0]
         self._position = self._queue.index(at) if at in self._queue else 0
         self._show()
         self._canvas.focus()
+
+    async def _unsure(self, rows: list[int]) -> list[int]:
+        """The rows, the one first of which the model is least sure; as they are where it cannot look at them."""
+        if self._labelling.model is None:
+            ui.notify("choose what proposals come from: its doubts give the order")
+            return rows
+        looking = ui.notification("looking at all frames", spinner=True, timeout=None)
+        try:
+            return await run.io_bound(self._labelling.unsure, rows) or rows
+        except (CabinposeError, OSError) as error:
+            ui.notify(f"frames cannot be read: {self._workspace.trouble() or error}", type="negative", multi_line=True)
+            return rows
+        finally:
+            looking.dismiss()
 
     async def _worst(self, predictions: str) -> list[int]:
         """All rows, the one first in which these predictions of the person are worst; none where they cannot be judged."""

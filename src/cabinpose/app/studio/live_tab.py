@@ -40,6 +40,7 @@ class LiveTab:
     def __init__(self, workspace: Workspace, room: LiveRoom, label: Callable[[], None]) -> None:
         self._workspace, self._room, self._label = workspace, room, label
         self._drawn: Any = None
+        self._told: LiveSession | None = None  # of which run the line below the images is
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
                 self._build_side()
@@ -136,7 +137,8 @@ class LiveTab:
         """Say what the buttons do now; another browser may have frozen or kept a frame."""
         frozen, kept = self._room.frozen is not None, len(self._room.kept)
         self._freeze.text = "Go on" if frozen else "Freeze"
-        self._to_label.text = f"Label this and {kept} kept" if kept else "Label this frame"
+        this = "this and " if self._room.shown() is not None else ""
+        self._to_label.text = f"Label {this}{kept} kept" if kept else "Label this frame"
 
     def _keep(self) -> bool:
         """Keep the frame that is shown; False where that cannot be."""
@@ -153,10 +155,13 @@ class LiveTab:
         return True
 
     async def _open(self) -> None:
-        """Write the frame that is shown, with those that are kept, as a dataset, and open that to be labelled."""
-        if not self._keep():
-            return
+        """Write the frame that is shown, with those that are kept, as a dataset, and open that to be labelled.
+
+        Where it cannot be among them, or nothing is shown any more, those alone.
+        """
         room, workspace = self._room, self._workspace
+        if (room.shown() is not None or not room.kept) and not self._keep() and not room.kept:
+            return
         kept, room.kept = room.kept, []
         try:
             written = await run.io_bound(write_kept, kept, workspace.root)
@@ -164,7 +169,7 @@ class LiveTab:
                 return
             workspace.open(*written)
         except (CabinposeError, OSError) as error:
-            room.kept = kept
+            room.kept = [*kept, *room.kept]
             ui.notify(str(error), type="negative", multi_line=True, timeout=10_000)
             return
         self._label()
@@ -180,6 +185,9 @@ class LiveTab:
         self._tell_buttons()
         session, shown = self._room.session, self._room.shown()
         self._trouble.text = session.error if session is not None else self._room.trouble
+        if session is None and self._told is not None:  # how it ended
+            self._tell(self._told)
+        self._told = session
         if session is not None:
             self._tell(session)
         elif self._room.trouble:

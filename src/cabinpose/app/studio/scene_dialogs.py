@@ -60,6 +60,12 @@ def ask_save(room: SceneRoom) -> None:
         lost = ui.label("Its comments, and the order and form of its keys, are lost then.").style(_WRONG)
         lost.set_visibility(False)
 
+        def renamed() -> None:
+            """What was said of the name before is not said of this one."""
+            over.value, name.error = False, None
+            over.set_visibility(False)
+            lost.set_visibility(False)
+
         def save() -> None:
             try:
                 path = editor.save(str(name.value), overwrite=bool(over.value))
@@ -72,6 +78,7 @@ def ask_save(room: SceneRoom) -> None:
             words = f"saved {path.name}; `cabinpose synth --config {path.name} --seed {editor.state.seed}` makes it"
             ui.notify(words, position="top")
 
+        name.on_value_change(renamed)
         name.on("keydown.enter", save)
         with ui.row():
             ui.button("Save it", on_click=save).props("no-caps")

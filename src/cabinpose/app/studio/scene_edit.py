@@ -268,6 +268,11 @@ class SceneEditor:
             result["ExactCameraPose"] = {"vehicle_from_camera": shown.scene.world_from_camera.tolist()}
         return result
 
+    def require_valid(self, words: str) -> None:
+        """Raise ConfigError, which begins with some words, where the configuration in force is not what was typed."""
+        if self.errors:
+            raise ConfigError(f"{words}: {'; '.join(self.errors.values())}", hint="mend it, or undo")
+
     # --------------------------------------------------------------------------------------------------------- files
 
     def files(self) -> list[str]:
@@ -283,8 +288,7 @@ class SceneEditor:
 
         Raises ConfigError where it is not valid, for a name that leads elsewhere, and without `overwrite` for a file that exists.
         """
-        if self.errors:
-            raise ConfigError("what is wrong is not saved: " + "; ".join(self.errors.values()), hint="mend it, or undo")
+        self.require_valid("what is wrong is not saved")
         path = self.place(name)
         text = f"# seed {self.state.seed}, frame {self.state.index}\n" + yaml.safe_dump(
             self.state.data, sort_keys=False, default_flow_style=None, width=130, allow_unicode=True

@@ -168,11 +168,14 @@ class SceneRoom:
         return f"/scene/bodies/{name}"
 
     def generate(self, name: str, frames: int, *, resume: bool = False) -> None:
-        """Begin to make a dataset in a folder beside the scene. Raises ConfigError for a name that leads elsewhere."""
+        """Begin to make a dataset in a folder beside the scene.
+
+        Raises ConfigError for a configuration that is not valid, a name that leads elsewhere, and while another dataset is made.
+        """
+        self.editor.require_valid("nothing is made of what is wrong")
         out = self.editor.place(name, ("",))
         if self.generation is not None and self.generation.running:
-            self.generation.cancel()
-            self.generation.wait(30.0)
+            raise ConfigError(f"{self.generation.out.name} is being made", hint="wait until it is there, or cancel it first")
         self.generation = Generation(self.editor.config, self.editor.state.seed, frames, out, resume=resume)
 
     def stop(self) -> None:

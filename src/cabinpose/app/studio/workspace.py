@@ -20,6 +20,7 @@ from cabinpose.store import (
     Manifest,
     Predictions,
     dataset_id,
+    labels_of,
     open_dataset,
     read_manifest,
     read_predictions,
@@ -45,6 +46,7 @@ class Workspace:
     role: str = "annotator"
     predictions: dict[str, Predictions] = field(default_factory=dict)
     proposals: str = ""
+    _files: set[str] = field(default_factory=set)  # names of the predictions that were read from files
     _labels: Labels | None = None
     _parts: frozenset[str] = frozenset()  # those that were there then
     _seen: tuple[int, int] = (0, 0)  # when manifest and folder were changed, as they were last looked at
@@ -60,9 +62,13 @@ class Workspace:
         self.close()
         self.folder, self.dataset, self.manifest, self.labels_path = folder, dataset, manifest, None
         self.key, self._parts, self._seen, self._grown = secrets.token_hex(4), parts, seen, 0
-        self.predictions, self.proposals = {}, ""
+        self.predictions, self.proposals, self._files = {}, "", set()
         names = [self.add_predictions(path) for path in predictions]
         self.proposals = next(iter(names), "")
+
+    def check(self) -> None:
+        """Raise DatasetError where the dataset has vanished or is another one now: what is read then is not what is shown."""
+        self.new_frames()
 
     def of_key(self, key: str) -> xr.Dataset | None:
         """The dataset that is open, if it is the one of this key."""
@@ -78,12 +84,14 @@ class Workspace:
     def labels(self) -> Labels:
         """The journal of labels, opened when it is needed first; DatasetError where another studio has it."""
         assert self.dataset is not None
-        assert self.folder is not None
-        assert self.manifest is not None
         if self._labels is None:
-            path = self.labels_path or self.folder.with_name(self.folder.name + ".labels.jsonl")
-            self._labels = open_labels(path, self.dataset)
+            self._labels = open_labels(self._journal, self.dataset)
         return self._labels
+
+    @property
+    def _journal(self) -> Path:
+        assert self.folder is not None
+        return self.labels_path or self.folder.with_name(self.folder.name + ".labels.jsonl")
 
     def new_frames(self) -> int:
         """How many frames have come since the dataset was opened: those of its new parts. Costs two looks at the disk.
@@ -135,10 +143,16 @@ class Workspace:
         return f"/clouds/{self.key}/{number}/{depth}"
 
     def corrected(self, dataset: xr.Dataset) -> xr.Dataset:
-        """The dataset, as it was opened, with the labels that were set; as it was while there are none."""
-        if self._labels is None or not self._labels.history:
-            return dataset
-        return with_labels(dataset, dict(self._labels.now))  # a copy: another thread may set labels meanwhile
+        """The dataset, as it was opened, with the labels that were set, here or in another studio that has them open.
+
+        Raises DatasetError for a journal that cannot be read, or is of another dataset.
+        """
+        if self._labels is not None:
+            labels = dict(self._labels.now)  # a copy: another thread may set labels meanwhile
+        else:
+            there = self._journal.is_file() and self._journal.stat().st_size
+            labels = labels_of(self._journal, [str(dataset.attrs["dataset_id"])]) if there else {}
+        return with_labels(dataset, labels) if labels else dataset
 
     def add_predictions(self, path: Path) -> str:
         """Open a predictions file of the dataset; the name it goes by. Raises PredictionsError."""
@@ -148,6 +162,13 @@ class Workspace:
         predictions = read_predictions(path)
         check_predictions(predictions, self.dataset, (str(self.dataset.attrs["dataset_id"]), self.folder.resolve().name))
         name = predictions.model if predictions.model not in self.predictions else f"{predictions.model} ({path.name})"
+        self.predictions[name] = predictions
+        self._files.add(name)
+        return name
+
+    def add_run(self, predictions: Predictions) -> str:
+        """Take what a model found here, in place of what it found before but beside a file of its name; the name it goes by."""
+        name = predictions.model if predictions.model not in self._files else f"{predictions.model} (run here)"
         self.predictions[name] = predictions
         return name
 
