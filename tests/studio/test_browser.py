@@ -131,6 +131,40 @@ def test_frame_is_not_accepted_before_it_is_seen(page: Any, start: Callable[...,
     page.get_by_text("2 of 6 frames done").wait_for()
 
 
+@pytest.mark.slow
+def test_a_drag_ends_with_the_frame_that_it_is_of(page: Any, start: Callable[..., Any], dataset_folder: Path) -> None:
+    """A key goes to the next frame while a joint is held, and a button is let go where the page is not told."""
+    from benchmarks.studio import on_screen
+
+    page.goto(start(dataset_folder).address)
+    tab(page, "Label")
+    shown, dataset = canvas(page), open_dataset(dataset_folder)
+    size, neck = (dataset.sizes["x"], dataset.sizes["y"]), dataset["joints_2d"].sel(person="driver", joint="neck").values
+    at = on_screen(shown, neck[0], size)
+    drawn = "() => { const all = [...document.querySelectorAll('.frame-canvas')], box = all.find((e) => e.offsetParent);"
+    drawn += " return getElement(+box.id.slice(1)).shown[0].joints.find((joint) => joint.name === 'neck'); }"
+
+    def drag() -> None:
+        page.mouse.move(*at)
+        page.mouse.down()
+        page.mouse.move(at[0] + 40, at[1] + 20, steps=3)
+
+    drag()
+    page.keyboard.press("f")
+    page.locator(".frame-canvas[data-seen$='/1/depth']:visible").wait_for()
+    page.mouse.up()
+    page.get_by_text("1 input not taken").wait_for()
+    assert page.evaluate(drawn)["u"] == pytest.approx(neck[1, 0], abs=1e-3)
+    page.keyboard.press("b")
+    page.locator(".frame-canvas[data-seen$='/0/depth']:visible").wait_for()
+    drag()
+    shown.locator("canvas").dispatch_event("pointermove", {"buttons": 0, "clientX": at[0], "clientY": at[1]})
+    assert page.evaluate(drawn)["u"] == pytest.approx(neck[0, 0], abs=1e-3)
+    page.mouse.up()
+    page.wait_for_timeout(500)
+    assert labels_beside(dataset_folder) == {}
+
+
 KEYS = """([count, rate]) => new Promise(done => {
   const box = [...document.querySelectorAll('.frame-canvas')].find(e => e.offsetParent), begin = performance.now();
   let states = 'vhs', sent = 0;

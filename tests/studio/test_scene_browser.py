@@ -97,6 +97,12 @@ def test_change_undo_save_and_open(studio: Any, scene: Path) -> None:
     name_field.fill("mine.yaml")
     studio.get_by_role("button", name="Save it").click()
     studio.get_by_text("mine.yaml exists").wait_for()
+    studio.get_by_text("overwrite it", exact=True).click()
+    (scene.parent / "taken.yaml").write_text("scene: {}\n")
+    name_field.fill("taken.yaml")  # which nobody said to overwrite
+    studio.get_by_role("button", name="Save it").click()
+    studio.get_by_text("taken.yaml exists").wait_for()
+    assert (scene.parent / "taken.yaml").read_text() == "scene: {}\n"
     name_field.fill("other.yaml")
     studio.get_by_role("button", name="Save it").click()
     studio.get_by_text("saved other.yaml").wait_for()
