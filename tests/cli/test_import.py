@@ -156,6 +156,15 @@ def test_depth_without_segmentation_or_extrinsics(run: Run, tmp_path: Path) -> N
     assert len(np.unique(right.reshape(-1, 3), axis=0)) > 10
 
 
+def test_nothing_is_said_to_be_accepted_of_what_was_not_generated(run: Run, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    assert run("import", "itop", itop_folder(tmp_path / "itop"), "--out", data).code == 0
+    code, out, _ = run("info", data)
+    assert (code, "acceptance" in out, "proposed" in out) == (0, False, False)
+    told = json.loads(run("info", data, "--json").out)
+    assert (told["proposals"], told["acceptance"]) == (0, None)
+
+
 def test_depth_without_intrinsics(run: Run, tmp_path: Path, dataset_folder: Path) -> None:
     exported = export_dataset(open_dataset(dataset_folder), "coco", tmp_path / "exported", images="depth16")
     file = exported / "annotations" / "person_keypoints.json"

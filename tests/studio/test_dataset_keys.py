@@ -48,6 +48,11 @@ def test_arrows_show_every_frame_and_fetch_it_once(page: Any, start: Callable[..
     page.mouse.move(*on_screen(canvas, (u, v), (depth.shape[1], depth.shape[0])))
     millimetres = "|".join({f"{depth[v, u] + off:.3f}" for off in (-1e-4, 1e-4)})  # the page rounds tenths of them
     page.get_by_text(re.compile(rf"^{u}, {v}: ({millimetres}) m$")).wait_for()
+    page.keyboard.press("ArrowLeft")  # the pointer rests, and is over another frame
+    seen(page, 4)
+    before = open_dataset(dataset_folder)["depth"][4].values[v, u]
+    millimetres = "|".join({f"{before + off:.3f} m" for off in (-1e-4, 1e-4)}) if np.isfinite(before) else "invalid"
+    page.get_by_text(re.compile(rf"^{u}, {v}: ({millimetres})$")).wait_for()
 
 
 @pytest.mark.slow

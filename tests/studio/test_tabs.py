@@ -175,6 +175,8 @@ def test_frames_are_asked_for_by_a_condition(workspace: Workspace) -> None:
         await ask("error_cm > 6.5")
         await user.should_see("unknown coordinate 'error_cm'")
         await user.should_see("4 of 6 frames")
+        user.find("Take these frames out").click()
+        await user.should_see('car == "suv" and frame >= 2', kind=ui.label)  # by which they were chosen
         marked(user, "error of").set_value("oracle")
         await user.should_see("3 of 6 frames")
         await user.should_not_see("unknown coordinate")

@@ -112,6 +112,7 @@ def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str,
     rejections: Counter[str] = Counter()
     for part in parts:
         rejections.update(part.rejections)
+    counted = rejections or any(part.proposals is not None for part in parts)  # of what was generated alone
     names = ("schema_version", "generator", "generator_version", "seed", "licence", "width", "height", "joint_definition")
     unbound = sum(part.dataset is None for part in parts)
     return {name: getattr(manifest, name) for name in names} | {
@@ -121,7 +122,7 @@ def _dataset_attributes(manifest: Manifest, parts: list[PartFacts]) -> dict[str,
         "parts_without_checksum": sum(part.checksum is None for part in parts),
         "parts_without_dataset": unbound,
         "skipped_frames": sum(len(part.skipped) for part in parts),
-        "proposals": sum(part.frames if part.proposals is None else part.proposals for part in parts),
+        "proposals": sum(part.frames if part.proposals is None else part.proposals for part in parts) if counted else 0,
         "rejections": dict(sorted(rejections.items())),
     }
 

@@ -76,7 +76,8 @@ def run(command: View) -> None:
 
             manifest = read_manifest(folder)
             dataset = selected(open_dataset(folder), command)
-            with progress(frames + rows, "frames") as report:
+            count = dataset.sizes["frame"]
+            with progress(min(frames, count) + min(rows, count), "frames") as report:
                 write_view(dataset, manifest, folder, out, frames=frames, rows=rows, report=report)
     sheet, page = (out / name for name in VIEW_FILES)
     if command.as_json:

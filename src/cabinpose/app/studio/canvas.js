@@ -187,6 +187,7 @@ export default {
       if (!c) return;
       c.setTransform(1, 0, 0, 1, 0, 0);
       c.clearRect(0, 0, canvas.width, canvas.height);
+      this.tell();
       if (!this.image || !this.bitmap) return;
       const { scale, x, y } = this.place(), ratio = window.devicePixelRatio || 1;
       c.imageSmoothingEnabled = false;
@@ -261,7 +262,8 @@ export default {
     move(event) {
       if (!this.image) return;
       const { u, v } = this.pixel(event), drag = this.drag;
-      this.tell(u, v);
+      this.pointer = { clientX: event.clientX, clientY: event.clientY };
+      this.tell();
       if (!drag) return;
       if (!event.buttons) { this.release(); return; } // let go where nobody told: a menu was open
       const [dx, dy] = [event.clientX - drag.from[0], event.clientY - drag.from[1]];
@@ -291,8 +293,10 @@ export default {
       else if (!drag.hit && !drag.moved && !drag.focusing && u > -0.5 && v > -0.5 && u < this.image.width - 0.5 && v < this.image.height - 0.5)
         this.ask("place", { url: drag.url, u, v, dragged: false });
     },
-    leave() { this.$refs.note.textContent = ""; },
-    tell(u, v) {
+    leave() { this.pointer = null; this.tell(); },
+    tell() { // of the pixel under the pointer, also where another image or another part of it comes there
+      if (!this.image || !this.pointer) { this.$refs.note.textContent = ""; return; }
+      const { u, v } = this.pixel(this.pointer);
       const { width, height, values, step, unit } = this.image, [x, y] = [Math.round(u), Math.round(v)];
       const inside = x >= 0 && y >= 0 && x < width && y < height, value = inside ? values[y * width + x] : 0;
       this.$refs.note.textContent = inside ? `${x}, ${y}: ${value ? (value * step).toFixed(unit === "m" ? 3 : 0) + " " + unit : "invalid"}` : "";

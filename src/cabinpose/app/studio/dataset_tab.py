@@ -50,7 +50,7 @@ class DatasetTab:
         self._url, self._before, self._next = "", 0, list[int]()
         self._answers = self._behind = False  # whether it says that it has · whether another frame is due then
         self._errors: FrameErrors | None = None  # of the predictions that are chosen
-        self._condition = page.address.get("dataset.where", "")
+        self._condition, self._chosen_by = page.address.get("dataset.where", ""), ""
         self._begin = page.remembered("dataset.frame", self._dataset["frame"].values.tolist())
         with ui.row().classes("studio-tab no-wrap w-full"):
             with ui.column().classes("studio-side"):
@@ -220,7 +220,10 @@ class DatasetTab:
         self._ask()
 
     def _choice(self) -> Choice:
-        """The frames that are chosen, and by what."""
+        """The frames that are chosen, and by what; those of before where what is asked for is no condition."""
+        return Choice(self._dataset["frame"].values[self._rows], self._chosen_by)
+
+    def _asked_for(self) -> str:
         words = [self._condition] if self._condition else []
         words += [f"{name} in {select.value}" for name, select in self._filters.items() if select.value]
         if self._state.value is not None:
@@ -229,7 +232,7 @@ class DatasetTab:
             over = "" if self._over.value is None else f" over {self._over.value:g} {self._errors.unit}"
             worst = "" if self._worst.value is None else f", the {self._worst.value:g} worst"
             words.append(f"error of {self._predictions.value}{over}{worst}")
-        return Choice(self._dataset["frame"].values[self._rows], "; ".join(words))
+        return "; ".join(words)
 
     def _key(self, event: Any) -> None:
         """What letters do, wherever on the page, unless they are written into a field."""
@@ -296,6 +299,7 @@ class DatasetTab:
         self._rows = np.flatnonzero(chosen)
         if self._errors is not None:
             self._rows = self._errors.choose(self._rows, self._over.value, self._worst.value, by_error=self._sorted.value)
+        self._chosen_by = self._asked_for()
         self._slider.props(f"max={max(len(self._rows) - 1, 1)}")
         self._histogram.show(self._rows)
         self._fill_grid()

@@ -44,13 +44,15 @@ def write_view(
 ) -> None:
     """Write the contact sheet of `rows` frames and the page of `frames` frames, evenly spread: `VIEW_FILES` in the folder `out`.
 
-    `report` is called with the number of frames drawn, up to `frames + rows`. Raises `DatasetError` without depth to show.
+    `report` is called with the number of frames drawn for both, those that there are at most. Raises `DatasetError` without depth
+    to show.
     """
     dataset = completed(dataset)
     count = dataset.sizes["frame"]
     title = f"{folder.resolve().name}: {count} frames, {manifest.generator} {manifest.generator_version}, seed {manifest.seed}"
-    sheet = png(contact_sheet(dataset, spread(count, rows), title, report))
-    data = page_data(dataset, manifest, folder, spread(count, frames), lambda done: report(rows + done))
+    on_sheet = spread(count, rows)
+    sheet = png(contact_sheet(dataset, on_sheet, title, report))
+    data = page_data(dataset, manifest, folder, spread(count, frames), lambda done: report(len(on_sheet) + done))
     sheet_name, page_name = VIEW_FILES
     write_together(out, {page_name: page_html(data), sheet_name: sheet})
 

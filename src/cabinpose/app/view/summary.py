@@ -23,7 +23,8 @@ class DatasetSummary:
     """A dataset in numbers; counts are frames, except `rejections` and `proposals` (poses) and `visibility` (joints).
 
     The `by_…` counts, `visibility` and the depths are those of the `selected` frames, all else is of the whole dataset.
-    acceptance: share of the poses that hold; None for sequences, of which the file does not say how many ways were judged ·
+    proposals: 0 of what was not generated · acceptance: share of the poses that hold; None there, and for sequences, of which the
+    file does not say how many ways were judged ·
     depth_histogram: share of the valid pixels of a sample of frames in bins of 50 mm from 0 m.
     """
 
@@ -63,7 +64,7 @@ def summarise(whole: xr.Dataset, manifest: Manifest, folder: Path, dataset: xr.D
     rejections = dataset.attrs["rejections"]
     proposals = dataset.attrs["proposals"]
     valid, histogram = _depths(dataset)
-    unknown = bool(manifest.selection or (manifest.config.get("scene") or {}).get("sequence"))
+    unknown = bool(not proposals or manifest.selection or (manifest.config.get("scene") or {}).get("sequence"))
     return DatasetSummary(
         folder=str(folder),
         generator=f"{manifest.generator} {manifest.generator_version}",
@@ -87,14 +88,10 @@ def summarise(whole: xr.Dataset, manifest: Manifest, folder: Path, dataset: xr.D
         visibility={state.name.lower(): int(visibility[state]) for state in Visibility if state != Visibility.ABSENT},
         proposals=proposals,
         rejections=rejections,
-        acceptance=None if unknown else _acceptance(proposals, rejections),
+        acceptance=None if unknown else 1 - sum(rejections.values()) / proposals,
         valid_pixels=valid,
         depth_histogram=histogram,
     )
-
-
-def _acceptance(proposals: int, rejections: Mapping[str, int]) -> float:
-    return 1 - sum(rejections.values()) / proposals if proposals else 1.0
 
 
 def spread(total: int, count: int) -> NDArray[np.int64]:

@@ -107,16 +107,20 @@ function drawSkeleton(g, person, points, scale) {
     }
   });
 }
-$("image").addEventListener("mousemove", async (event) => {
-  const images = await load(state.frame), box = $("image").getBoundingClientRect();
-  const u = Math.min(W - 1, Math.floor((event.clientX - box.left) / box.width * W));
-  const v = Math.min(H - 1, Math.floor((event.clientY - box.top) / box.height * H));
+let pointer = null; // over the image, which may become another one under it
+$("image").addEventListener("mousemove", async (event) => { pointer = event; readOut(await load(state.frame)); });
+$("image").addEventListener("mouseleave", () => { pointer = null; });
+function readOut(images) {
+  if (!pointer) { $("readout").textContent = "Point at the image to read it."; return; }
+  const box = $("image").getBoundingClientRect();
+  const u = Math.min(W - 1, Math.floor((pointer.clientX - box.left) / box.width * W));
+  const v = Math.min(H - 1, Math.floor((pointer.clientY - box.top) / box.height * H));
   if (u < 0 || v < 0) return;
   const i = v * W + u, m = (mm) => mm ? `${(mm / 1000).toFixed(3)} m` : "invalid";
   const clean = images.depth_clean ? `, geometry ${m(images.depth_clean[i])}` : "";
   const amplitude = images.amplitude ? `, amplitude ${Math.round((images.amplitude[i] / 255) ** 2 * data.white)}` : "";
   $("readout").textContent = `(${u}, ${v})  depth ${m(images.depth[i])}${clean}${amplitude}, ${words(labelName[images.labels[i]] || "?")}`;
-});
+}
 
 // ------------------------------------------------------------------------------------------------------- point cloud
 // Rays are given on a coarse grid; between its points they are linear to well under a pixel.
@@ -229,7 +233,7 @@ async function show(k, keepView) {
   if (state.frame !== k) return;
   makeCloud(images);
   if (!samePlace) lookAt("front");
-  drawImage(images); drawCloud();
+  drawImage(images); drawCloud(); readOut(images);
   $("framename").textContent = `Frame ${f.index}`;
   const facts = [["car", words(f.car)], ["view", words(f.pov)], ["people", f.people.length], ["valid pixels", `${(100 * f.valid).toFixed(1)} %`]];
   $("facts").replaceChildren(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
@@ -321,13 +325,14 @@ function histogram(shares, bin) {
 function summary() {
   const s = data.summary, percent = (n, of) => `${(100 * n / Math.max(1, of)).toFixed(1)} %`;
   const joints = Object.values(s.visibility).reduce((a, b) => a + b, 0);
-  const outcome = { accepted: Math.max(0, s.proposals - Object.values(s.rejections).reduce((a, b) => a + b, 0)) };
+  const known = s.acceptance !== null; // of sequences it is not
+  const outcome = known ? { accepted: Math.max(0, s.proposals - Object.values(s.rejections).reduce((a, b) => a + b, 0)) } : {};
   for (const [cause, n] of Object.entries(s.rejections)) outcome[`rejected: ${cause}`] = n;
   const cards = [
     ["Frames by car", bars(s.by_car)], ["Frames by view", bars(s.by_pov)], ["Frames by number of people", bars(s.by_people)],
     ["Frames by seat", bars(s.by_seat)], ["Frames by person", bars(s.by_subject)], ["Frames by action", bars(s.by_action)],
     ["Joints by visibility", bars(Object.fromEntries(Object.values(s.visibility).map((n, i) => [data.visibility_names[i + 1], n])), (n) => percent(n, joints))],
-    [`Proposed poses: ${percent(outcome.accepted, s.proposals)} accepted`, bars(outcome)],
+    ...(!s.proposals ? [] : [[known ? `Proposed poses: ${percent(outcome.accepted, s.proposals)} accepted` : `Proposed poses and activities: ${s.proposals}`, bars(outcome)]]),
     [`Depth in metres (${(100 * s.valid_pixels).toFixed(1)} % of the pixels are valid)`, histogram(s.depth_histogram, data.bin_m)],
   ];
   $("cards").replaceChildren(...cards.map(([title, body]) => card(title, body)));
