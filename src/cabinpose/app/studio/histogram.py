@@ -32,9 +32,10 @@ def bars_of(name: str, column: NDArray[Any]) -> list[Bar]:
     """The bars of a column of `query_columns` for some frames: (F,), or (F, P), where a frame counts once for each value."""
     if column.dtype.kind not in "iuf":
         return _of_words(name, column)
-    values = column[np.isfinite(column)] if column.dtype.kind == "f" else column.ravel()
-    nowhere = int(np.isinf(column).sum()) if column.dtype.kind == "f" else 0
-    bars = _of_numbers(name, values)
+    each = column if column.ndim == 2 else column[:, None]
+    rows = np.nonzero(np.isfinite(each))[0]
+    nowhere = int(np.isinf(each).any(axis=1).sum())
+    bars = _of_numbers(name, rows, each[np.isfinite(each)])
     return [*bars, Bar("nobody found", nowhere, f"{name} > {1e9:.0f}")] if nowhere else bars
 
 
@@ -47,20 +48,30 @@ def _of_words(name: str, column: NDArray[Any]) -> list[Bar]:
     return [*bars, Bar(f"{len(first) - MOST_BARS} more", 0, "")] if len(first) > MOST_BARS else bars
 
 
-def _of_numbers(name: str, values: NDArray[Any]) -> list[Bar]:
-    """Each of a few whole numbers, or ranges between round ones."""
+def _of_numbers(name: str, rows: NDArray[np.int64], values: NDArray[Any]) -> list[Bar]:
+    """Each of a few whole numbers, or ranges between round ones; rows: the frame of each value."""
     if not values.size:
         return []
     low, high = values.min().item(), values.max().item()
-    if values.dtype.kind in "iu" and high - low < _BINS:
-        return [Bar(str(v), int(n), f"{name} == {v}") for v, n in zip(*np.unique(values, return_counts=True), strict=True)]
+    whole = values.dtype.kind in "iu"
+    if whole and high - low < _BINS:
+        numbers, of = np.unique(values, return_inverse=True)
+        return [Bar(str(v), n, f"{name} == {v}") for v, n in zip(numbers, _frames(rows, of, len(numbers)), strict=True)]
     step, digits = _round_step((high - low) / _BINS)
-    number = np.floor_divide(values, step).astype(np.int64)
-    first = int(number.min())
-    edges = [_word(k, step, digits) for k in range(first, int(number.max()) + 2)]
-    counts = np.bincount((number - first).ravel()).tolist()
-    pairs = zip(edges, edges[1:], counts, strict=False)
-    return [Bar(f"{a} to {b}", count, f"{name} >= {a} and {name} < {b}") for a, b, count in pairs]
+    first, last = (int(np.floor_divide(each, step)) for each in (low, high))
+    words = [_word(k, step, digits) for k in range(first - 1, last + 3)]
+    edges = np.array([int(word) if whole else float(word) for word in words])  # as a condition compares them
+    counts = _frames(rows, np.searchsorted(edges, values, side="right") - 1, len(words) - 1)
+    ranges = zip(words, words[1:], counts, strict=False)
+    bars = [Bar(f"{a} to {b}", count, f"{name} >= {a} and {name} < {b}") for a, b, count in ranges]
+    there = np.flatnonzero(counts)
+    return bars[there[0] : there[-1] + 1]
+
+
+def _frames(rows: NDArray[np.int64], of: NDArray[np.intp], count: int) -> list[int]:
+    """In how many frames each of some values or ranges is. of: which of them each value is."""
+    counts: list[int] = np.bincount(np.unique(np.stack((rows, of)), axis=1)[1], minlength=count).tolist()
+    return counts
 
 
 def _round_step(least: float) -> tuple[int | float, int]:
