@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -89,3 +90,15 @@ def test_port_that_is_taken_is_told(run: Callable[..., Any]) -> None:
         outcome = run("studio", "--port", taken.getsockname()[1])
     assert outcome.code == 2
     assert "cannot be listened on" in outcome.err
+
+
+def test_a_number_that_is_no_port_is_refused(run: Callable[..., Any], dataset_folder: Path) -> None:
+    outcome = run("studio", dataset_folder, "--port", 70000)
+    assert (outcome.code, "70000 cannot be listened on (bind(): port must be 0-65535" in outcome.err) == (2, True)
+
+
+def test_what_is_of_a_dataset_is_refused_without_one(run: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("scene: {cars: [suv]}\n")
+    for flag in ("--predictions", "--labels"):
+        outcome = run("studio", tmp_path / "scene.yaml", flag, tmp_path / "file.jsonl", "--port", 0)
+        assert (outcome.code, f"{flag} is of a dataset, and none is opened" in outcome.err) == (2, True)

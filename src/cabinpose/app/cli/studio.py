@@ -12,6 +12,7 @@ from tyro.conf import Positional
 
 from cabinpose.app.api import SAMPLE
 from cabinpose.app.cli.arguments import DatasetPath, Maybe, several
+from cabinpose.core import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +54,9 @@ def run(command: Studio) -> None:
     if labels is None and command.thing == SAMPLE:
         labels = Path("sample.labels.jsonl")  # the package itself is not written to
     workspace = open_workspace(command.thing, labels=labels, role=command.role)
+    for flag, given in (("--predictions", command.predictions), ("--labels", command.labels)):
+        if given and workspace.dataset is None:
+            raise ConfigError(f"{flag} is of a dataset, and none is opened", hint=f"name the dataset, or leave out {flag}")
     for path in command.predictions:
         workspace.add_predictions(path)
     gc.freeze()

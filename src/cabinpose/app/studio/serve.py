@@ -102,8 +102,9 @@ def _bound(host: str, port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
-    except OSError as error:
+    except (OSError, OverflowError) as error:  # the latter of a number that is no port
         listening.close()
-        raise ConfigError(f"{host}:{port} cannot be listened on ({error.strerror})", hint="give another --port, or 0") from error
+        why = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{host}:{port} cannot be listened on ({why})", hint="give another --port, or 0") from error
     listening.listen()  # who opens the address at once waits for the first answer instead of being refused
     return listening
