@@ -79,7 +79,9 @@ def find(page: Any, words: str) -> Any:
 def test_change_undo_save_and_open(studio: Any, scene: Path) -> None:
     before = last_images(studio)
     field = find(studio, "noise.blur")
-    changed = after(studio, lambda: field.fill("0.25"))
+    field.fill("")
+    changed = after(studio, lambda: field.press_sequentially("0,25"))
+    assert field.input_value() == "0.25"
     assert changed != before
     studio.wait_for_timeout(1200)  # what follows is another step of undo
     assert after(studio, lambda: field.fill("3")) == changed  # the last valid one stays

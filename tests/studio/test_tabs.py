@@ -35,7 +35,7 @@ from cabinpose.app.studio.page import TABS, shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.tab import Page, Tab
 from cabinpose.app.studio.workspace import Workspace, open_workspace
-from cabinpose.core.errors import DatasetError
+from cabinpose.core.errors import ConfigError, DatasetError
 from cabinpose.core.pose import Visibility
 from cabinpose.core.skeleton import CABINPOSE
 from cabinpose.store import create_dataset, open_dataset, points_m, read_manifest
@@ -673,6 +673,8 @@ def test_part_that_goes_and_another_dataset_in_its_place_are_told(workspace: Wor
         workspace.new_frames()
     (dataset_folder.parent / "aside").rename(dataset_folder / "part-00002.zarr")
     assert workspace.new_frames() == 0
+    with pytest.raises(ConfigError, match="no frame is chosen"):
+        as_dataset(workspace, Choice(np.arange(0), ""), dataset_folder.with_name("chosen"), labels=False)
     manifest = read_manifest(dataset_folder).model_copy(update={"seed": 77})
     (dataset_folder / MANIFEST_NAME).write_text(with_checksum_line(manifest_yaml(manifest)))
     choice = Choice(np.arange(2), "")

@@ -59,6 +59,8 @@ class ChoiceDialog:
         self._dialog.open()
 
     async def _as_dataset(self) -> None:
+        if self._progress.visible:
+            return  # Enter, again
         choice = self._choice()
         self._done, self._progress.visible = 0, True
         for button in self._buttons:
@@ -112,7 +114,7 @@ def as_dataset(
 ) -> Path:
     """Write frames as they are on the disk, since what is open was filled in for the eye; labels: with those that were corrected.
 
-    Raises DatasetError.
+    Raises DatasetError; ConfigError for no frames.
     """
     assert workspace.folder is not None
     workspace.check()
@@ -120,6 +122,8 @@ def as_dataset(
     words = f"{choice.words} --labels".strip() if labels else choice.words
     dataset = (workspace.corrected(stored) if labels else stored).assign_attrs({CHOSEN_BY: words})
     rows = np.flatnonzero(np.isin(stored["frame"].values, choice.numbers))
+    if not rows.size:
+        raise ConfigError("no frame is chosen", hint="choose some")
     return export_dataset(dataset.isel(frame=rows), "dataset", path, report=report)
 
 

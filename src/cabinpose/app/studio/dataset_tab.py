@@ -430,7 +430,10 @@ class DatasetTab:
             look_through(self._scene, vehicle_from_camera)
 
     def _statistics(self) -> None:
-        statistics_dialog(self._workspace, self._dataset, self._rows)
+        if len(self._rows):
+            statistics_dialog(self._workspace, self._dataset, self._rows)
+        else:
+            ui.notify("no frame fits")
 
 
 def people_of(frame: Any) -> list[dict[str, Any]]:

@@ -137,11 +137,10 @@ class HistogramPanel:
 
 
 def statistics_dialog(workspace: Workspace, dataset: xr.Dataset, rows: NDArray[np.int64]) -> None:
-    """Show what there is of what in the frames of some rows, of all where there are none."""
+    """Show what there is of what in the frames of one or more rows."""
     assert workspace.manifest is not None
     assert workspace.folder is not None
-    chosen = dataset.isel(frame=rows) if len(rows) else dataset
-    summary = summarise(dataset, workspace.manifest, workspace.folder, chosen)
+    summary = summarise(dataset, workspace.manifest, workspace.folder, dataset.isel(frame=rows))
     with ui.dialog().props("maximized") as dialog, ui.card().style("width: 100%"):
         with ui.row().classes("items-center w-full"):
             ui.label(f"{summary.selected} of {summary.frames} frames").style("font-size: 18px; flex: 1")

@@ -84,6 +84,18 @@ _REMEMBER = """
 }
 """
 
+# A browser whose numbers have points drops a comma that is typed into one: 2,5 became 25.
+_COMMA = """
+if (!window.studioComma) {
+  window.studioComma = (event) => {
+    if (event.key !== "," || event.target.type !== "number") return;
+    event.preventDefault();
+    document.execCommand("insertText", false, ".");
+  };
+  document.addEventListener("keydown", studioComma, true);
+}
+"""
+
 # Charts are canvases, which no style reaches. A change of theme is one of the body's class.
 _CHARTS = """
 if (!window.studioCharts) {
@@ -127,6 +139,7 @@ def studio_page(workspace: Workspace, shared: Sequence[Shared], address: Mapping
     client = ui.context.client
     client.run_javascript(_REMEMBER)
     client.run_javascript(_CHARTS)
+    client.run_javascript(_COMMA)
 
     def remember(words: Mapping[str, object]) -> None:
         client.run_javascript(f"studioRemember({json.dumps({name: str(word) for name, word in words.items()})})")
