@@ -430,6 +430,8 @@ def test_failures_are_counted_by_their_cause(dataset_folder: Path, capsys: pytes
         (("--source", "nix.mcap"), "there is no file nix.mcap"),
         (("--source", "."), "no dataset"),
         (("--source", "{dataset}", "--record", "x.mcap"), "is recorded already"),
+        (("--source", "simulated", "--record", "x"), "no name of a recording"),
+        (("--source", "simulated", "--record", "{dataset}/none/x.mcap"), "there is no folder"),
         (("--source", "{dataset}", "--set", "loop=true"), "loop cannot be set"),
         (("--source", "{recording}:other"), "unknown source of the recording 'other'"),
         (("--source", "{dataset}", "--duration", "nan"), "--duration nan is nothing to look at"),

@@ -72,6 +72,13 @@ def test_conditions_hold_as_python_says(columns: dict[str, NDArray[Any]], words:
     assert 0 < held.sum() < 200
 
 
+def test_an_edge_belongs_to_what_is_at_least_as_much(columns: dict[str, NDArray[Any]]) -> None:
+    """Also in single precision, in which 1.9 is a little less than in double."""
+    stature = np.array([[1.9, 1.7]] * 200, np.float32)
+    for words, held in (("stature >= 1.9", True), ("stature > 1.9", False), ("1.9 <= stature and people < 3", True)):
+        assert (frames_where({**columns, "stature": stature}, words) == held).all(), words
+
+
 @pytest.mark.parametrize(
     ("words", "of"),
     [

@@ -113,6 +113,7 @@ def test_error_of_a_frame_is_how_far_its_joints_are_off(workspace: Workspace) ->
         (None, 2, True, [3, 5]),
         (6.5, 2, False, [3, 5]),
         (99.0, None, True, []),
+        (None, -3, True, [3]),  # typed, before the field is left
     ],
 )
 def test_frames_are_chosen_by_error(over: float | None, worst: int | None, by_error: bool, rows: list[int]) -> None:

@@ -94,11 +94,11 @@ def _by_frame(holds: _Holds) -> NDArray[np.bool_]:
     return np.asarray(holds.any(axis=1) if holds.ndim == 2 else holds)
 
 
-def _aligned(parts: Iterable[Any]) -> list[NDArray[Any]]:
-    """What is of frames as (F, 1) where anything is of people, (F, P); numbers stay."""
-    arrays = [np.asarray(part) for part in parts]
-    several = any(array.ndim == 2 for array in arrays)
-    return [array[:, None] if several and array.ndim == 1 else array for array in arrays]
+def _aligned(parts: Iterable[Any]) -> list[Any]:
+    """What is of frames as (F, 1) where anything is of people, (F, P); numbers stay, and are compared as a column has them."""
+    each = list(parts)
+    several = any(np.ndim(one) == 2 for one in each)
+    return [one[:, None] if several and np.ndim(one) == 1 else one for one in each]
 
 
 def _values(column: NDArray[Any]) -> list[Any]:

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from cabinpose.app.cli.arguments import Maybe, RunsModels, Smooths, dataset_path, placed, several, tell_unsmoothed
+from cabinpose.app.cli.arguments import Maybe, RunsModels, Smooths, dataset_path, placed, recording_name, several, tell_unsmoothed
 from cabinpose.app.cli.interrupt import asked_to_stop
 from cabinpose.app.cli.output import print_json, print_table, printable
 from cabinpose.app.finite import finite
-from cabinpose.core import ConfigError, check_output
+from cabinpose.core import ConfigError, RecordingError, check_output
 
 if TYPE_CHECKING:
     from cabinpose.app.live.run import Latency, Live, LiveStatus
@@ -82,6 +82,9 @@ def run(command: LiveCommand) -> int:
     if command.predictions is not None:
         check_output(command.predictions, parents=False)
         check_new_predictions(command.predictions, overwrite=command.overwrite)
+    if command.record is not None:
+        recording_name("--record", command.record)
+        check_output(command.record, RecordingError, parents=False)
     settings = parsed_settings(command.settings)
     feed = open_feed(command.source, settings, realtime=command.realtime, out=command.record)
     models = open_detectors(command.model, command.images)

@@ -87,7 +87,7 @@ class FrameErrors(NamedTuple):
         """Those of some rows whose error is greater than `over`, at most so many, the worst; in order, or worst first."""
         if over is not None:
             rows = rows[self.d[rows] > over]
-        ranked = rows[worst_first(self.d[rows])][: None if worst is None else int(worst)]
+        ranked = rows[worst_first(self.d[rows])][: None if worst is None else max(int(worst), 1)]
         return ranked if by_error else np.sort(ranked)
 
     def words(self, row: int) -> str:
