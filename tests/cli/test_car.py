@@ -19,7 +19,7 @@ from cabinpose.app.car_check import _rule, check_car, open_directions
 from cabinpose.app.cli.car import _some
 from cabinpose.app.view.car import draw_car
 from cabinpose.scene.cabin import CabinFile, Rule, ViewAnchor, build_cabin
-from cabinpose.scene.cabin.car_draft import draft_car_file
+from cabinpose.scene.cabin.car_draft import _scalar, draft_car_file
 from cabinpose.scene.cabin.car_file import SeatSpec
 from cabinpose.scene.sensor import sensor_by_name
 
@@ -167,11 +167,10 @@ def test_points_that_the_mesh_contradicts_are_told(
 
 
 def test_a_view_that_looks_straight_down_is_drawn() -> None:
-    cabin = build_cabin("suv")
-    below = replace(cabin, views={"driver": ViewAnchor(np.array((-0.6, 0.0, 1.0)), np.array((-0.6, 0.0, 0.0)))})
-    drawn = [draw_car(each, (), sensor_by_name("pico_monstar_105/5").camera, {}, (), None) for each in (cabin, below)]
-    assert drawn[0].shape == drawn[1].shape
-    assert (drawn[0] != drawn[1]).any()
+    below = ViewAnchor(np.array((-0.6, 0.0, 1.0)), np.array((-0.6, 0.0, 0.0)))
+    cabin = replace(build_cabin("suv"), views={"driver": below})
+    drawn = draw_car(cabin, (), sensor_by_name("pico_monstar_105/5").camera, {}, (), None)
+    assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 10
 
 
 @pytest.mark.parametrize("mesh", ["Seat (2)/cushion/Leather (black)", "seat/cushion/leather"])
@@ -189,11 +188,12 @@ def test_a_rule_for_a_mesh_with_a_number_in_brackets(mesh: str) -> None:
     assert _some([f"{mesh} ({group})", mesh]) == mesh
 
 
-@pytest.mark.parametrize("name", ["my car #1.glb", "a: b.glb", "- car.glb", "[x].glb", "'x'.glb", "übersicht.glb"])
-def test_a_mesh_of_any_name_is_found_again(folder: Path, tmp_path: Path, name: str) -> None:
-    (tmp_path / name).symlink_to(folder / "suv.glb")
-    text = draft_car_file(tmp_path / name, tmp_path / "car.yaml").text
-    assert yaml.safe_load(text)["mesh"] == name
+def test_a_mesh_of_any_name_is_found_again(folder: Path, tmp_path: Path) -> None:
+    for name in ("my car #1.glb", "a: b.glb", "- car.glb", "[x].glb", "'x'.glb", "übersicht.glb"):
+        assert yaml.safe_load(f"mesh: {_scalar(name)}") == {"mesh": name}
+    (tmp_path / "my car #1.glb").symlink_to(folder / "suv.glb")
+    text = draft_car_file(tmp_path / "my car #1.glb", tmp_path / "car.yaml").text
+    assert yaml.safe_load(text)["mesh"] == "my car #1.glb"
 
 
 def test_a_shell_that_is_not_there_is_told() -> None:
