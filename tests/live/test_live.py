@@ -334,6 +334,19 @@ def test_a_dataset_plays_at_its_own_pace(dataset_folder: Path, monkeypatch: pyte
     assert (feed._rig.sources[0].settings.faults.rate_hz, feed.drive_side) == (15.0, "")  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize(("fails_on", "kept"), [(2, [0, 1]), (0, None)])
+def test_what_was_found_before_an_error_is_written(
+    run: Run, dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails_on: int, kept: list[int] | None
+) -> None:
+    monkeypatch.setattr("cabinpose.app.models.open_detectors", lambda *_: [Model(fails_on=fails_on)])
+    out = tmp_path / "found.jsonl"
+    outcome = run("live", dataset_folder, "--predictions", out)
+    assert outcome.code == 2
+    assert "it cannot" in outcome.err
+    assert (read_predictions(out).frame.tolist() if out.exists() else None) == kept
+    assert (str(out) in outcome.err) is (kept is not None)
+
+
 def test_frames_are_recorded_meanwhile(tmp_path: Path) -> None:
     camera, out = Camera(20, 0.01), tmp_path / "out.mcap"
     live = Live(LatestFrame(camera_rig(camera), out), [Model(seconds=0.05)])

@@ -97,17 +97,16 @@ def run(command: LiveCommand) -> int:
         def go_on() -> bool:
             return not asked() and time.monotonic() < until and live.frames != command.frames
 
-        try:
-            for frame, found in live.run(go_on):
-                if command.as_json:
-                    print(json.dumps(finite(found_record(frame, found, live.models)), allow_nan=False), flush=True)
-                show(live)
-        finally:
-            feed.stop()
+        with _written(command, live):
+            try:
+                for frame, found in live.run(go_on):
+                    if command.as_json:
+                        print(json.dumps(finite(found_record(frame, found, live.models)), allow_nan=False), flush=True)
+                    show(live)
+            finally:
+                feed.stop()
     status = live.status(whole=True)
     tell_unsmoothed(smoothers)
-    if command.predictions is not None:
-        _write_predictions(command, live)
     reports = _reports(command, live)
     if command.as_json:
         print_json({"summary": asdict(status) | {"metrics": [report.to_dict() for report in reports]}})
@@ -139,6 +138,20 @@ def _keeps(command: LiveCommand, feed: Any) -> bool:
     from cabinpose.app.live.feed import DatasetFeed
 
     return command.predictions is not None or isinstance(feed, DatasetFeed)
+
+
+@contextmanager
+def _written(command: LiveCommand, live: Live) -> Iterator[None]:
+    """The predictions of what was found within the block are written at its end, also where it ends by an error after some."""
+    try:
+        yield
+    except BaseException:
+        if command.predictions is not None and live.answered(live.models[0]):
+            _write_predictions(command, live)
+            print(f"what was found before is in {command.predictions}", file=sys.stderr)
+        raise
+    if command.predictions is not None:
+        _write_predictions(command, live)
 
 
 def _write_predictions(command: LiveCommand, live: Live) -> None:

@@ -220,6 +220,10 @@ class Live:
             feed=self.feed.status(),
         )
 
+    def answered(self, model: Predictor) -> int:
+        """How many answers of a detector are kept."""
+        return len(self._answers[model.name].numbers)
+
     def predictions(self, model: Predictor) -> Predictions:
         """All answers of a detector, by the numbers of the frames; of a number that a camera gave twice the first."""
         answers = self._answers[model.name]
