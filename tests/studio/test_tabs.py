@@ -463,6 +463,20 @@ def test_frame_that_is_not_in_the_order_is_shown_all_the_same(workspace: Workspa
     used(workspace, steps)
 
 
+def test_who_has_labelled_all_frames_is_told_so(workspace: Workspace) -> None:
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        for count in range(1, 7):
+            await user.should_see(f"{count - 1} of 6 frames done" if count > 1 else "frame 0, 1 of 6")
+            user.find("Accept").click()
+        await user.should_see("6 of 6 frames done")
+        marked(user, "order").set_value("open")
+        await user.should_see("all frames of driver are labelled")
+        await user.should_see("frame 0, 1 of 6, done")
+
+    used(workspace, steps)
+
+
 def test_coco_goes_out_and_comes_back_corrected(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Downloaded, one keypoint moved, uploaded: that joint is a label, and undo takes it back."""
     given: list[Path] = []

@@ -290,12 +290,15 @@ class LabelTab:
             rows = await self._unsure(rows)
         elif self._order.value == "open":
             rows = [row for row in rows if not self._labelling.done(row, self._person)]
+            if not rows:
+                ui.notify(f"all frames of {self._person} are labelled: here they are in order", type="positive")
+                rows = list(range(len(self._labelling.numbers)))
         elif str(self._order.value).startswith(_WORST):
             rows = await self._worst(str(self._order.value).removeprefix(_WORST)) or rows
         if asked != self._orderings:
             return  # another order, of another person or by another model, was asked for meanwhile
         at = self._row if self._row != begin else at  # where somebody went meanwhile
-        self._queue = rows or [0]
+        self._queue = rows
         self._position = self._queue.index(at) if at in self._queue else 0
         self._show()
         self._canvas.focus()
