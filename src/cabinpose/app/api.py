@@ -217,8 +217,5 @@ def evaluate_predictions(
             f"a {type(model).__name__} is no detector",
             hint="it needs name, joints, persons and predict; see core.ports.Predictor",
         )
-    chosen, places = (
-        options or EvaluationOptions(),
-        [persons] if isinstance(persons, str) else [*(() if persons is None else persons)],
-    )
-    return evaluate(dataset, model, chosen, persons=places or shared_places(dataset, [model]), name=name)
+    places = [persons] if isinstance(persons, str) else list(() if persons is None else persons)
+    return evaluate(dataset, model, options or EvaluationOptions(), persons=places or shared_places(dataset, [model]), name=name)

@@ -411,8 +411,8 @@ def _row(row: Mapping[str, str | None], *, is_curve: bool) -> _Row:
         values = median * (rp.exp(rp.log(base) / power) if abs(power) > 1e-9 else rp.exp(spread * _SCORES))
     else:
         values = _distribution(measure, number)
-    given = (x if math.isfinite(x) else None for x in (share, r))
-    return _Row((sex, start, end), measure, next(given), values * _UNITS[measure][unit], next(given))
+    metric = values * _UNITS[measure][unit]
+    return _Row((sex, start, end), measure, share if math.isfinite(share) else None, metric, r if math.isfinite(r) else None)
 
 
 def _distribution(measure: str, number: Callable[..., float]) -> Floats:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import reduce
 from pathlib import Path
 from typing import IO
 
@@ -18,11 +18,11 @@ import numpy as np
 import scipy
 
 from cabinpose.core import MVN_JOINTS, MVN_SEGMENTS, RecordingError
-from cabinpose.signals import F64, LATEST_NS, Facts, Sample, SegmentPoses, resample_positions, resample_rotations
+from cabinpose.signals import F64, Facts, Sample, SegmentPoses, resample_positions, resample_rotations
 from cabinpose.store.convert.bvh import WORLD_FROM_FILE, UpAxis, read_bvh_rows
 from cabinpose.store.convert.format import RecordingFormat
 from cabinpose.store.convert.rows import Entry, Row, begun_ns, check_rotations, new_file, rows_of
-from cabinpose.store.convert.table import period_ns
+from cabinpose.store.convert.table import newest_ns, period_ns
 
 _UNIT_M = 0.01
 _UP = "y"
@@ -178,8 +178,7 @@ def _regular(times_ns: Sequence[int], positions: F64, orientations: F64) -> tupl
         raise RecordingError(
             f"{unseen} of {len(times_ns)} frames have segments that were not seen", hint="BVH cannot say that; cut"
         )
-    if any(newest - time > LATEST_NS for time, newest in zip(times_ns, accumulate(times_ns, max), strict=True)):
-        raise RecordingError("the device was started anew within the recording", hint="export its parts, each by --span FROM TO")
+    reduce(newest_ns, times_ns, None)  # of one start of the device
     time, first = np.unique(np.asarray(times_ns, dtype=np.int64), return_index=True)
     positions, orientations = positions[first], orientations[first]
     frame_s = 1 / 60

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cabinpose.core import ConfigError, MocapError
+from cabinpose.core import ConfigError, MocapError, RecordingError
 from cabinpose.signals import F64, LATEST_NS
 
 _CELL_LIMIT = 200_000_000  # numbers: 1.6 GB
@@ -26,6 +26,14 @@ class TableExport:
     def __post_init__(self) -> None:
         if self.rate_hz is not None and not self.rate_hz > 0:
             raise ConfigError(f"{self.rate_hz:g} frames a second are none", hint="give --rate-hz more than 0")
+
+
+def newest_ns(newest: int | None, time_ns: int) -> int:
+    """The newest of the times that came, and this one. Raises RecordingError where it falls as of a device started anew."""
+    newest = time_ns if newest is None else max(newest, time_ns)
+    if newest - time_ns > LATEST_NS:
+        raise RecordingError("the device was started anew within the recording", hint="export its parts, each by --span FROM TO")
+    return newest
 
 
 def period_ns(times_ns: Iterable[int]) -> float:
@@ -47,11 +55,9 @@ class Table:
     def add(self, time_ns: int, names: Sequence[str], values: F64) -> None:
         """Values (names, width) at a time; of equal times the first counts.
 
-        MocapError where two names are the same, and where time falls as of a device that was started anew.
+        MocapError where two names are the same; RecordingError as `newest_ns` has it.
         """
-        self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
-        if self._newest_ns - time_ns > LATEST_NS:
-            raise MocapError("the device was started anew within the recording", hint="export its parts, each by --span FROM TO")
+        self._newest_ns = newest_ns(self._newest_ns, time_ns)
         if len(set(names)) != len(names):
             raise MocapError(f"two of {', '.join(names)} have one name", hint="rename one: they are told apart by their names")
         at = [self.columns.setdefault(name, len(self.columns)) for name in names]
