@@ -60,7 +60,7 @@ def _of_numbers(name: str, rows: NDArray[np.int64], values: NDArray[Any]) -> lis
     step, digits = _round_step((high - low) / _BINS)
     first, last = (int(np.floor_divide(each, step)) for each in (low, high))
     words = [_word(k, step, digits) for k in range(first - 1, last + 3)]
-    edges = np.array([int(word) if whole else float(word) for word in words])  # as a condition compares them
+    edges = np.array([int(word) if whole else values.dtype.type(word) for word in words])  # as a condition compares them
     counts = _frames(rows, np.searchsorted(edges, values, side="right") - 1, len(words) - 1)
     ranges = zip(words, words[1:], counts, strict=False)
     bars = [Bar(f"{a} to {b}", count, f"{name} >= {a} and {name} < {b}") for a, b, count in ranges]
