@@ -49,6 +49,8 @@ def test_a_box_takes_whole_pieces_and_leaves_them_solid(tmp_path: Path) -> None:
     others = [part for part in loaded.parts if part.group == "body"]
     assert sum(len(part.surface.faces) for part in (*seat, *others)) == sum(len(p.surface.faces) for p in cabin.parts)
     assert all(part.give_m == 0 for part in others)
+    assert seat[0].mesh == others[0].name
+    assert not any(part.mesh for part in others)
 
 
 def test_a_box_in_the_meshs_own_frame(tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def check_car(path: Path) -> CarReport:
     if _held(mended) <= _held(trials):  # softer seats are not what it takes
         rules = []
     named = [rule for rule in (*spec.rules, *COMMON_RULES[:-1]) if rule.within is None]
-    unnamed = {part.name for part in cabin.parts if not _is_cut(part) and not any(rule.names(part.name) for rule in named)}
+    unnamed = {part.name for part in cabin.parts if not part.mesh and not any(rule.names(part.name) for rule in named)}
     return CarReport(
         spec,
         cabin,
@@ -226,12 +226,10 @@ def _remedies(
 
 def _rule(spec: CabinFile, cabin: Cabin, seat: Seat, part: Part, side: SeatSide, give_mm: float, to_file: Matrix) -> Rule:
     """The rule that makes a part give way under somebody: for its whole mesh, or for the box of the seat where it is more."""
-    mesh = part.name
-    if _is_cut(part):
-        mesh = mesh.removesuffix(_cut_mark(part))
-        known = next(r for r in spec.rules if r.within is not None and r.names(mesh) and r.group == part.group)
+    if part.mesh:
+        known = next(r for r in spec.rules if r.within is not None and r.names(part.mesh) and r.group == part.group)
         return known.model_copy(update={"give_mm": give_mm})
-    pattern = mesh.replace("[", "[[]")
+    pattern = part.name.replace("[", "[[]")
     if _share_within(part, cabin, seat) > 0.5:
         return Rule(pattern=pattern, label=label_of(part), material=material_of(part), give_mm=give_mm, group=part.group)
     corners = apply(seat.vehicle_from_seat(seat.default), SEAT_BOXES[side])
@@ -261,16 +259,6 @@ def _share_within(part: Part, cabin: Cabin, seat: Seat) -> float:
     middle = corners.mean(axis=1)
     inside = np.any([((middle >= low) & (middle <= high)).all(axis=1) for low, high in SEAT_BOXES.values()], axis=0)
     return float(area[inside].sum() / area.sum())
-
-
-def _is_cut(part: Part) -> bool:
-    """Whether a rule with a box made this part."""
-    return part.name.endswith(_cut_mark(part))
-
-
-def _cut_mark(part: Part) -> str:
-    """What `mesh_parts` puts behind the name of a mesh of which a rule took a box."""
-    return f" ({part.group})"
 
 
 def point_text(point: Floats) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 _PICTURE = "car.png"
 _VIEWS = ("front_row", "driver", "rear")  # the picture shows a frame from the first of these that the car has
-_GROUP = re.compile(r" \((body|wheel|seat:\w+/\w+)\)$")  # behind the name of a mesh of which a rule took a box
 _NAMED = 4  # meshes of one kind that are listed by name
 
 
@@ -163,7 +161,7 @@ def _rows(report: CarReport) -> Iterator[tuple[str, str]]:
         yield "view", f"{name}: from {point_text(view.eye)} to {point_text(view.target)}"
     kinds: dict[str, list[str]] = {}
     for part in cabin.parts:
-        kinds.setdefault(kind_of(part), []).append(part.name)
+        kinds.setdefault(kind_of(part), []).append(part.mesh or part.name)
     yield from (("meshes", f"{kind}: {_some(names)}") for kind, names in sorted(kinds.items()))
     if report.unnamed:
         yield "unnamed", f"no rule but the last ('*') names {_some(report.unnamed)}"
@@ -172,8 +170,8 @@ def _rows(report: CarReport) -> Iterator[tuple[str, str]]:
 
 
 def _some(meshes: Sequence[str]) -> str:
-    """The first few names, each "node/geometry/material" without empty or repeated words and without the group in brackets."""
-    short = list(dict.fromkeys("/".join(dict.fromkeys(filter(None, _GROUP.sub("", m).split("/")))) for m in meshes))
+    """The first few names, each "node/geometry/material" without empty or repeated words."""
+    short = list(dict.fromkeys("/".join(dict.fromkeys(filter(None, m.split("/")))) for m in meshes))
     more = f" and {len(short) - _NAMED} more" if len(short) > _NAMED else ""
     return ", ".join(short[:_NAMED]) + more
 

@@ -118,7 +118,8 @@ def mesh_parts(
         idle = [each for each in idle if each is not rule]
         if rule.hide:
             continue
-        name = mesh.name if rule.within is None else f"{mesh.name} ({rule.group})"
+        cut_from = "" if rule.within is None else mesh.name
+        name = f"{mesh.name} ({rule.group})" if cut_from else mesh.name
         pieces, remark = _cleaned(mesh.vertices, mesh.faces[share], h_points)
         if remark:
             notes.append(f"{name}: {remark}")
@@ -126,7 +127,7 @@ def mesh_parts(
             warnings.append(_open_share(mesh, rule, share, name))
         for solid, closed in pieces:
             surface = to_surface(solid.moved(invert(groups[rule.group])), rule.label, rule.material)
-            parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m))
+            parts.append(Part(name, surface, rule.group, rule.give_mm / 1000, closed, 0.0 if closed else shell_m, cut_from))
     if not parts:
         raise MeshError(f"{path}: every mesh is hidden by a rule", hint="leave at least the seats and the floor")
     for rule in idle:

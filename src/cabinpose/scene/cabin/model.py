@@ -24,7 +24,7 @@ class Part:
     surface: its triangles · group: "body" (vehicle frame), "seat:<slot>/base", "seat:<slot>/back",
     "seat:<slot>/headrest" or "wheel" · give_m: depth by which its foam may be pressed in (0: hard) ·
     solid: closed, with outward normals once equal positions are merged · shell_m: thickness (m) on both sides of an
-    open surface within which a point touches it, 0 for solids.
+    open surface within which a point touches it, 0 for solids · mesh: of a file, out of which a rule cut it; "" if none did.
     """
 
     name: str
@@ -33,6 +33,7 @@ class Part:
     give_m: float = 0.0
     solid: bool = True
     shell_m: float = 0.0
+    mesh: str = ""
 
 
 @dataclass(frozen=True)
