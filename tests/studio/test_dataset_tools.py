@@ -33,6 +33,8 @@ COLUMNS: dict[str, Any] = {
     "sync_ns": np.array([1_700_000_000_123_456_789 + 40_000_000 * i for i in range(6)]),
     "error_cm": np.array([0.31, np.nan, 1.02, 2.49, np.inf, 0.3]),
     "stature": np.array([[1.5, 1.5], [1.45, np.nan], [1.6, 1.65], [np.nan] * 2, [1.55, 1.7], [1.9, 1.2]], np.float32),
+    "near": np.array([834449.06, 834449.1, 834449.1, np.nan, 834449.25, 834449.1], np.float32),  # a few roundings apart
+    "far": np.full(6, 1.21e8, np.float32),
     "tilt": np.round(np.arange(6) / 10, 1),
     "level": np.array([0, 40, 80, 120, 200, 255], np.uint8),
     "same": np.full(6, 4.25),

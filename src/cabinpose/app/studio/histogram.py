@@ -57,7 +57,8 @@ def _of_numbers(name: str, rows: NDArray[np.int64], values: NDArray[Any]) -> lis
     if whole and high - low < _BINS:
         numbers, of = np.unique(values, return_inverse=True)
         return [Bar(str(v), n, f"{name} == {v}") for v, n in zip(numbers, _frames(rows, of, len(numbers)), strict=True)]
-    step, digits = _round_step((high - low) / _BINS)
+    apart = 0.0 if whole else 2 * np.spacing(np.abs(values).max()).item()  # so that edges are numbers that the column can have
+    step, digits = _round_step(max((high - low) / _BINS or 1.0, apart))
     first, last = (int(np.floor_divide(each, step)) for each in (low, high))
     words = [_word(k, step, digits) for k in range(first - 1, last + 3)]
     edges = np.array([int(word) if whole else values.dtype.type(word) for word in words])  # as a condition compares them
@@ -75,9 +76,9 @@ def _frames(rows: NDArray[np.int64], of: NDArray[np.intp], count: int) -> list[i
 
 
 def _round_step(least: float) -> tuple[int | float, int]:
-    """The next of 1, 2, 5, 10, 20 … that is not smaller, and how many decimals it has; 1 for nothing."""
-    power = math.floor(math.log10(least)) if least > 0 else 0
-    factor = next(each for each in (1, 2, 5, 10) if each * 10.0**power >= least * (1 - 1e-9)) if least > 0 else 1
+    """The next of 1, 2, 5, 10, 20 … that is not smaller, and how many decimals it has."""
+    power = math.floor(math.log10(least))
+    factor = next(each for each in (1, 2, 5, 10) if each * 10.0**power >= least * (1 - 1e-9))
     return (factor * 10**power, 0) if power >= 0 else (factor * 10.0**power, -power)
 
 
