@@ -44,10 +44,12 @@ def test_the_first_call_tells_what_differs_and_what_is_next(run: Run, tmp_path: 
 
 def test_what_is_next_says_all_that_was_said() -> None:
     first = Adapt(
-        model="room", dataset=Path("my frames"), out=Path("out"), intrinsics=(90.0, 90.0, 47.5, 35.5), unit="mm", rate_hz=30.0
-    )
+        model="room", dataset=Path("my frames"), out=Path("out"), intrinsics=(90.0, 90.0, 47.5, 35.5), unit="mm", rate_hz=30.0,
+        frames=1000, epochs=8, seed=5,
+    )  # fmt: skip
     assert _next_command(first) == (
-        "cabinpose adapt room 'my frames' --out out --intrinsics 90.0 90.0 47.5 35.5 --unit mm --rate-hz 30.0 --train --resume"
+        "cabinpose adapt room 'my frames' --out out --intrinsics 90.0 90.0 47.5 35.5 --unit mm --frames 1000 --epochs 8"
+        " --seed 5 --rate-hz 30.0 --train --resume"
     )
 
 

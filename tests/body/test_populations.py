@@ -225,6 +225,7 @@ def test_a_teams_own_population(tmp_path: Path) -> None:
         ("stature,cm", "stature,mm", "0.164 m tall"),
         ("mass,kg", "mass,lb", "weigh 29.5 kg"), ("mean,sd\n", "mean,sd\n\nman,18,65,stature,cm,175,7\n", "line 3: unknown sex"),
         ("mean,sd\n", "mean,sd,p3,p97\n", "column p3, p97 is not taken"),
+        ("mean,sd\n", "mean,sd,p05,P95,p2.5\n", "column p05, P95, p2.5 is not taken"),
     ],
 )  # fmt: skip
 def test_what_is_no_population_is_told(tmp_path: Path, wrong: str, right: str, told: str) -> None:

@@ -377,6 +377,16 @@ def test_objects_of_an_obj_file_stay_apart(tmp_path: Path, word: str, materials:
         assert found[mesh] == pytest.approx(size)
 
 
+def test_groups_do_not_cut_an_object_of_an_obj_file(tmp_path: Path) -> None:
+    """A group lasts over the next object, and often covers a part of one: a seat of two groups is one closed mesh."""
+    box = trimesh.creation.box((4.0, 1.7, 1.4))
+    faces = [f"f {a} {b} {c}" for a, b, c in box.faces + 1]
+    lines = ["o cushion", *(f"v {x} {y} {z}" for x, y, z in box.vertices), "g upper", *faces[:6], "g lower", *faces[6:]]
+    (tmp_path / "car.obj").write_text("\n".join(lines) + "\n")
+    (mesh,) = read_mesh(tmp_path / "car.obj", up_axis="z", front_axis="x").meshes
+    assert (mesh.name.split("/")[0], len(mesh.faces)) == ("cushion", 12)
+
+
 def test_parts_of_a_mesh_are_called_the_same_at_every_reading(tmp_path: Path) -> None:
     """A node with several materials has several parts, which trimesh gives random names."""
     box = trimesh.creation.box((4.0, 1.6, 1.3))

@@ -173,6 +173,9 @@ def test_files_that_only_look_like_parts_are_not_taken(tmp_path: Path) -> None:
     empty.mkdir()
     with pytest.raises(RecordingError, match="no first file"):
         Recording(empty)
+    (empty / "take.mcap").write_bytes(b"x")
+    with pytest.raises(RecordingError, match=r"take.mcap is no recording"):
+        Recording(empty)
 
 
 class Counting:
@@ -340,3 +343,10 @@ def test_the_rig_says_it(tmp_path: Path) -> None:
     while recorder.running:
         HostClock().sleep(0.01)
     assert recorder.stop().files == (tmp_path / "a.mcap",)
+
+
+def test_a_source_that_was_never_started_has_ended() -> None:
+    """As after Ctrl-C between the starts of two sources."""
+    lane = Lane(Counting("a", 1), "counting", HostClock(), threading.Event())
+    lane.stop()
+    assert lane.join(0.01)

@@ -70,6 +70,14 @@ def test_a_term_that_is_not_there_is_not_negative() -> None:
     assert fit.noise.a_mm < 0.03
 
 
+def test_three_walls_have_intervals_of_their_pixels() -> None:
+    camera = Camera.from_fov(96, 72, 0.6)
+    walls = [w for z in (0.6, 1.0, 1.6) for w in walls_of_frames(normal_frames(np.full((72, 96), z), 2e-3 * z), camera)]
+    found = fit_empirical(walls).parameters["b_mm_per_m"]
+    assert found.low < 2.0 < found.high
+    assert found.high - found.low < 0.2
+
+
 def test_what_is_fitted_as_zero_may_be_more() -> None:
     camera = Camera.from_fov(96, 72, 0.6)
     frames = {z: normal_frames(np.full((72, 96), z), 3e-3 * z * z, 12) for z in (0.5, 1.0, 2.0, 4.0)}

@@ -10,6 +10,7 @@ import pytest
 from cabinpose.core import ConfigError, MocapError, RecordingError
 from cabinpose.signals import Markers, Sample, SegmentPoses
 from cabinpose.store.convert import export_recording
+from cabinpose.store.convert.table import period_ns
 from cabinpose.store.recording import RecordingWriter
 
 STARTED_NS = 1_700_000_000_000_000_000
@@ -41,6 +42,14 @@ def test_the_rate_of_stamps_in_whole_milliseconds_is_that_of_the_device(tmp_path
     assert (float(rate), int(frames)) == (pytest.approx(60, rel=1e-4), 600)
     (frame_s,) = [line.split()[-1] for line in (tmp_path / "a.bvh").read_text().splitlines() if line.startswith("Frame Time")]
     assert float(frame_s) == pytest.approx(1 / 60, rel=1e-4)
+
+
+def test_lost_samples_leave_the_rate_as_it_is() -> None:
+    numbers = np.delete(np.arange(60 * 240), np.random.default_rng(1).integers(0, 60 * 240, 144))
+    stamps = np.rint(numbers * 1000 / 240).astype(np.int64) * 1_000_000
+    assert 1e9 / period_ns(stamps.tolist()) == pytest.approx(240, rel=5e-6)
+    away = np.concatenate((stamps, stamps + 10**12))  # a gap that nobody counts
+    assert 1e9 / period_ns(away.tolist()) == pytest.approx(240, rel=5e-6)
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -94,6 +94,8 @@ class Lane:
 
     def join(self, timeout_s: float) -> bool:
         """Wait for it; False where it hangs, in which case it is left to itself."""
+        if self._thread.ident is None:  # interrupted before it was started
+            return True
         ended = self._clock.join(self._thread, timeout_s)
         if not ended:
             self._error = self._error or "does not stop"

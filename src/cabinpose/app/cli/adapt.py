@@ -231,7 +231,7 @@ def _tell(command: Adapt, look: FirstLook, outcome: Adaptation | None) -> None:
 
 def _next_command(command: Adapt) -> str:
     """The same command with --train, for a shell."""
-    looked = {name: getattr(command, name) for name in ("rate_hz", "look", "reference")}
+    looked = {name: getattr(command, name) for name in ("frames", "epochs", "seed", "rate_hz", "look", "reference")}
     given = command.said() | {name: value for name, value in looked.items() if value != getattr(Adapt, name)}
     words = ["cabinpose", "adapt", command.model, str(command.dataset), "--out", str(command.out)]
     for name, value in given.items():

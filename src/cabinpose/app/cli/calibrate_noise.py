@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     Frames = Iterator[tuple[NDArray[Any], NDArray[Any] | None]]
 
 _SAME_LENS = 0.01  # of the focal length, by which intrinsics of one camera may differ
+_LOOKED, _FILLED = 20, 0.1  # frames in which the step of the depth is looked for, and the share of pixels that they need
 _FILES = ("empirical.yaml", "physical.yaml", "fit.json", "index.html")
 
 
@@ -210,7 +211,9 @@ def _of_dataset(folder: Path) -> tuple[Camera | None, float, Frames]:
     camera = _camera(k[0], data["camera_dist"][0].values, shape)
     amplitudes = data.get("amplitude")
     pairs = ((data["depth"][i].values, None if amplitudes is None else amplitudes[i].values) for i in range(data.sizes["frame"]))
-    step_m = max(step_of(data["depth"][0].values), DEPTH_SCALE_M)  # of images that were imported that of their own unit
+    looked = (data["depth"][i].values for i in range(0, data.sizes["frame"], max(data.sizes["frame"] // _LOOKED, 1)))
+    steps = filter(None, (step_of(depth) for depth in looked if (depth > 0).mean() > _FILLED))
+    step_m = max(min(steps, default=0.0), DEPTH_SCALE_M)  # of images that were imported that of their own unit
     return camera, step_m, pairs
 
 

@@ -310,10 +310,11 @@ def read_population(name: str, path: Path | Traversable) -> Population:
     needed = _CURVE_COLUMNS if is_curve else _BAND_COLUMNS
     if missing := [column for column in needed if column not in columns]:
         raise ConfigError(f"population {path} has no column {', '.join(missing)}", hint=f"needed: {', '.join(needed)}")
-    if lost := [column for column in columns if re.fullmatch(r"p\d+", column or "") and int(column[1:]) not in _PERCENTILES]:
+    taken = [] if is_curve else [f"p{percent}" for percent in _PERCENTILES]
+    if taken and (lost := [each for each in columns if re.fullmatch(r"[pP]\d+(\.\d+)?", each or "") and each not in taken]):
         raise ConfigError(
             f"population {path}: column {', '.join(lost)} is not taken",
-            hint=f"percentiles: {', '.join(f'p{p}' for p in _PERCENTILES)}",
+            hint=f"percentiles: {', '.join(taken)}",
         )
     found: dict[tuple[str, float, float], dict[str, _Row]] = {}
     for line, row in rows:

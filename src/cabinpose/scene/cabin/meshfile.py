@@ -189,7 +189,7 @@ def _read(path: Path) -> list[NamedMesh]:
         if kind == ".ply":
             _check_ply(path)
         # trimesh makes one mesh of all of an OBJ file that is of one material, and names it after the first object
-        apart: dict[str, Any] = {"split_objects": True, "split_groups": True} if kind == ".obj" else {}
+        apart: dict[str, Any] = _apart(path) if kind == ".obj" else {}
         is_gltf = kind in (".glb", ".gltf")
         meshes = _meshes_of(path, _gltf_scene(path) if is_gltf else trimesh.load_scene(path, process=False, **apart))
     except (MeshError, DependencyError):
@@ -205,6 +205,13 @@ def _read(path: Path) -> list[NamedMesh]:
     if float(np.ptp(points, axis=0).min()) <= 1e-9 * float(np.ptp(points, axis=0).max()):
         raise MeshError(f"{path} is flat: all vertices lie in a plane or a point", hint="export the whole cabin")
     return meshes
+
+
+def _apart(path: Path) -> dict[str, Any]:
+    """How trimesh takes an OBJ apart: by objects, or by groups where there are none; groups cut through closed objects."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        named = any(line.startswith("o ") for line in file)
+    return {"split_objects": named, "split_groups": not named}
 
 
 def _meshes_of(path: Path, scene: trimesh.Scene) -> list[NamedMesh]:

@@ -119,8 +119,7 @@ def fit_empirical(walls: Sequence[Wall]) -> EmpiricalFit:
     z, sigma, error = means.T
     rows = np.stack((np.ones_like(z), z, z * z), axis=1) / sigma[:, None]
     found, _ = nnls(rows, np.ones_like(z))
-    active = found > 0
-    freedom = len(z) - int(active.sum())
+    freedom = len(z) - len(found)  # those that are held at 0 are in the covariance below as well
     scale = float(np.mean((error / sigma) ** 2))
     if freedom:
         scale = max(scale, float(np.sum((rows @ found - 1) ** 2)) / freedom)

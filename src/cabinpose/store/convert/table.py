@@ -12,6 +12,7 @@ from cabinpose.core import ConfigError, MocapError, RecordingError
 from cabinpose.signals import F64, LATEST_NS
 
 _CELL_LIMIT = 200_000_000  # numbers: 1.6 GB
+_SHORT = 20  # frames of a gap that can be counted by rounded stamps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +38,17 @@ def newest_ns(newest: int | None, time_ns: int) -> int:
 
 
 def period_ns(times_ns: Iterable[int]) -> float:
-    """The time from frame to frame: the mean of steps that no frame is missing in, since stamps may be rounded; 0 for none."""
+    """The time from frame to frame, 0 for none: the mean, since stamps may be rounded, by the frames that steps are long.
+
+    Long gaps, of which it is not known how many frames they are, count for nothing.
+    """
     steps = np.diff(np.unique(np.fromiter(times_ns, np.int64))).astype(np.float64)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    return float(steps[np.abs(steps - usual) <= 0.5 * usual].mean()) if usual > 0 else 0.0
+    if usual <= 0:
+        return 0.0
+    near = float(steps[np.abs(steps - usual) <= 0.5 * usual].mean())
+    short = steps[(steps > 0.5 * near) & (steps <= _SHORT * near)]
+    return float(short.sum() / np.round(short / near).sum())
 
 
 @dataclass

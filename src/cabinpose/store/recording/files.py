@@ -77,6 +77,8 @@ def _first_in(folder: Path) -> Path:
     """The first file of the only take in a folder."""
     heads = {file: _head_beside(file) for file in sorted(folder.glob("*.mcap"))}
     firsts = [file for file, head in heads.items() if isinstance(head, Head) and not head.part]
+    if not firsts and (errors := [head for head in heads.values() if isinstance(head, RecordingError)]):
+        raise errors[0]
     if len(firsts) != 1:
         names = ", ".join(file.name for file in firsts)
         raise RecordingError(
