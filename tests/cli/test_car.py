@@ -16,6 +16,7 @@ from car_meshes import write_car
 from PIL import Image
 
 from cabinpose.app.car_check import _rule, check_car, open_directions
+from cabinpose.app.cli.car import _rows
 from cabinpose.app.view.car import draw_car
 from cabinpose.scene.cabin import CabinFile, Rule, ViewAnchor, build_cabin
 from cabinpose.scene.cabin.car_draft import _scalar, draft_car_file
@@ -184,6 +185,16 @@ def test_a_rule_for_a_mesh_with_a_number_in_brackets(mesh: str) -> None:
     cut = spec.model_copy(update={"rules": (Rule(pattern="*cushion*", within=box, group=group),)})
     rule = _rule(cut, cabin, seat, replace(part, name=f"{mesh} ({group})", mesh=mesh), "base", 30.0, np.eye(4))
     assert (rule.within, rule.give_mm) == (box, 30.0)
+
+
+def test_meshes_are_told_without_what_was_cut_out_of_them(car: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cabinpose.app.car_check.POSES", 0)
+    report = check_car(car)
+    mesh = next(part.mesh for part in report.cabin.parts if part.mesh)
+    told = [words for what, words in _rows(report) if what == "meshes"]
+    assert any(part.name.startswith(f"{mesh} (seat:") for part in report.cabin.parts)
+    assert told
+    assert not any("(seat:" in words for words in told)
 
 
 def test_a_mesh_of_any_name_is_found_again(folder: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from cabinpose.record.sources.base import DeviceSource, apart
 from cabinpose.record.sources.mvn_messages import Decoder, PositionUnit
 from cabinpose.record.sources.mvn_protocol import Header, MalformedError
 from cabinpose.record.sources.mvn_sequence import SequenceTracker
-from cabinpose.signals import HostClock, Sample, Unwrapper
+from cabinpose.signals import LATEST_NS, HostClock, Sample, Unwrapper
 
 _BATCH = 512  # datagrams of one read: what waits longer is read by the next
 _DATAGRAM = 1 << 16
@@ -58,8 +58,8 @@ class MvnSettings(BaseModel):
     """Unit of positions of types 02, 05, 21 and 24: m, cm, or told by the size of the body."""
     counter_step: Annotated[float | None, Field(ge=1)] = None
     """Rise of the sample counter from one sample sent to the next: capture rate / streaming rate. None finds it out."""
-    reorder_window_s: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """How long a late datagram or a missing piece of one is waited for; no longer than until `LATEST_NS` tells of a new start."""
+    reorder_window_s: Annotated[float, Field(gt=0, le=LATEST_NS / 1e9)] = 1.0
+    """How long a late datagram or a missing piece of one is waited for; what is later looks like a new start of the device."""
     receive_buffer: Annotated[int, Field(ge=4096, le=1 << 30)] = 1 << 22
     """Bytes of the kernel's buffer: 4 MiB hold about a minute of one person at 60 Hz."""
     subjects: Annotated[dict[Annotated[int, Field(ge=0, le=255)], str], AfterValidator(apart)] = {}

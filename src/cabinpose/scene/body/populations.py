@@ -310,8 +310,10 @@ def read_population(name: str, path: Path | Traversable) -> Population:
     needed = _CURVE_COLUMNS if is_curve else _BAND_COLUMNS
     if missing := [column for column in needed if column not in columns]:
         raise ConfigError(f"population {path} has no column {', '.join(missing)}", hint=f"needed: {', '.join(needed)}")
-    taken = [] if is_curve else [f"p{percent}" for percent in _PERCENTILES]
-    if taken and (lost := [each for each in columns if re.fullmatch(r"[pP]\d+(\.\d+)?", each or "") and each not in taken]):
+    taken = [f"p{percent}" for percent in _PERCENTILES]
+    if not is_curve and (
+        lost := [each for each in columns if re.fullmatch(r"[pP]\d+(\.\d+)?", each or "") and each not in taken]
+    ):
         raise ConfigError(
             f"population {path}: column {', '.join(lost)} is not taken",
             hint=f"percentiles: {', '.join(taken)}",
