@@ -314,10 +314,7 @@ def read_population(name: str, path: Path | Traversable) -> Population:
     if not is_curve and (
         lost := [each for each in columns if re.fullmatch(r"[pP]\d+(\.\d+)?", each or "") and each not in taken]
     ):
-        raise ConfigError(
-            f"population {path}: column {', '.join(lost)} is not taken",
-            hint=f"percentiles: {', '.join(taken)}",
-        )
+        raise ConfigError(f"population {path}: column {', '.join(lost)} is not taken", hint=f"percentiles: {', '.join(taken)}")
     found: dict[tuple[str, float, float], dict[str, _Row]] = {}
     for line, row in rows:
         try:
