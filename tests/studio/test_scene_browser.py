@@ -341,6 +341,10 @@ def test_child_seat_is_changed_saved_and_opened_by_keys_alone(three: Any, tmp_pa
     three.keyboard.type("four.yaml")
     three.keyboard.press("Enter")
     three.get_by_text("saved four.yaml").wait_for()
+    three.keyboard.press("Control+o")  # at once: the dialog still fades
+    three.get_by_text("Configurations in").wait_for()
+    three.keyboard.press("Escape")
+    three.get_by_text("Configurations in").wait_for(state="hidden")
     assert yaml.safe_load((tmp_path / "four.yaml").read_text())["scene"]["child_seats"] == {"rear_left": "booster"}
     assert {name: pytest.approx(body, abs=1e-4) for name, body in expected(tmp_path / "four.yaml").items()} == now
     for name, images in (("three.yaml", before), ("four.yaml", changed)):

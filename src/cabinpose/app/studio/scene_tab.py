@@ -50,7 +50,8 @@ _KEYS = """(() => {
   const tab = getHtmlElement(%d);
   const told = { z: "z", y: "y", Z: "Z", s: "s", o: "o" }, letters = { s: "S", a: "A", g: "G", "/": "/" };
   document.addEventListener("keydown", (event) => {
-    if (!tab.isConnected || !tab.offsetParent || event.altKey || document.querySelector(".q-dialog")) return;
+    if (!tab.isConnected || !tab.offsetParent || event.altKey) return;
+    if (document.querySelector(".q-dialog__inner:not([class*='-leave-'])")) return; // one that fades takes no keys any more
     const typed = event.target.closest?.("input, textarea, select, [contenteditable]");
     const key = event.ctrlKey || event.metaKey ? told[event.key] : typed ? undefined : letters[event.key];
     if (!key) return;
