@@ -411,6 +411,10 @@ def test_a_stand_in_may_be_recorded_in_the_laboratory(write: Write, tmp_path: Pa
     [
         (_in_the_laboratory(jitter_m=0.01), "the laboratory's camera stays where it is"),
         ({"data": {"real": {"lab": {}}}}, "the laboratory records sequences in one car"),
+        (
+            _in_the_laboratory() | {"recipe": {"method": "unet", "settings": None, "batch": None}},
+            "training R1: real is recorded in the laboratory, whose suit labels no parts",
+        ),
         ({"data": {"real": {"lab": {}, "frames": None}}}, "the laboratory records one subject after the other"),
         (
             {

@@ -386,7 +386,8 @@ def test_what_is_chosen_last_is_judged(workspace: Workspace, monkeypatch: pytest
         await shows(user, 0, ">2.0")
         go_on.set()
         await asyncio.sleep(0.5)
-        await shows(user, 0, ">2.0")
+        marked(user, "frames").set_value(1)
+        await shows(user, 1, ">1.0")
         marked(user, "error of").set_value("oracle")
         await shows(user, 3, ">27.0")  # the worst of these comes first
 

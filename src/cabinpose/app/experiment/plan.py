@@ -194,6 +194,7 @@ class _Planner:
         test = self._experiment.tests[name]
         where = f"test {name}"
         sources = tuple(self._source(part, where) for part in test.frames)
+        _check_labelled(sources, trained.recipe["method"], where)
         learnt = [s for each in (trained, trained.begins) if each is not None for s in (*each.train, *each.validation)]
         for kind in ("subject", "car"):
             if kind not in test.may_share:
@@ -219,6 +220,7 @@ class _Planner:
     ) -> TrainCell:
         learnt = tuple(self._source(part, f"training {name}", learnt=True) for part in train)
         judged = tuple(self._source(part, f"training {name}") for part in validation)
+        _check_labelled((*learnt, *judged), config.method, f"training {name}")
         frames, held = (sum(source.frames for source in side) for side in (learnt, judged))
         recipe = config.model_dump(mode="json")
         facts = {"recipe": recipe, "train": [s.facts for s in learnt], "validation": [s.facts for s in judged]}
@@ -277,6 +279,16 @@ def _contents(
             with said_of(f"{where}: {name}"):
                 slot_rows(dataset, spec, learnt=learnt)
     return contents(drawn)
+
+
+def _check_labelled(sources: Sequence[SelectedFrames], method: str, where: str) -> None:
+    """Raise ConfigError where a method of body parts is to have frames of the laboratory, which are labelled by a suit."""
+    recorded = [piece.name for source in sources for piece in source.pieces if piece.recorded]
+    if recorded and METHODS[method].task == "parts":
+        raise ConfigError(
+            f"{where}: {recorded[0]} is recorded in the laboratory, whose suit labels no parts of bodies",
+            hint="leave its `lab` out: its frames are generated then, with labels",
+        )
 
 
 def _made(sources: Iterable[SelectedFrames]) -> list[str]:

@@ -173,14 +173,15 @@ class DatasetTab:
 
     async def _judge(self) -> None:
         """Find how far the chosen predictions are off, which is asked for again after each change of labels by choosing anew."""
-        name, self._errors = self._predictions.value, None
+        name, self._errors, errors = self._predictions.value, None, None
         if name is not None:
             try:
-                self._errors = await run.io_bound(frame_errors, self._workspace, self._dataset, str(name))
+                errors = await run.io_bound(frame_errors, self._workspace, self._dataset, str(name))
             except CabinposeError as error:
                 ui.notify(error.in_one_line(), type="negative", multi_line=True)
         if name != self._predictions.value:
             return  # others were chosen meanwhile
+        self._errors = errors
         self._by_error.visible = self._with_found.visible = self._errors is not None
         self._page.remember({"dataset.errors": name or ""})
         self._offer_histograms()
