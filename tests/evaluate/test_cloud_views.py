@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ import xarray as xr
 from PIL import Image
 
 from cabinpose.app.report.cloud_views import cloud_views
+from cabinpose.app.report.frames import drawing
+from cabinpose.app.report.raster import write_grid
+from cabinpose.core import skeleton_with
 
 _SIDE, _GAP = 200, 4
 
@@ -47,3 +51,17 @@ def test_two_joints_are_as_far_apart_as_they_are(dataset: xr.Dataset) -> None:
     dots = np.array([tuple(map(float, m)) for m in re.findall(r'<circle cx="([^"]+)" cy="([^"]+)"', drawn)]).reshape(4, 2, 2)
     x, y, z = np.array([0.3, 0.2, 0.4]) * _SIDE / 0.9  # right, down, away; the person faces a level camera
     np.testing.assert_allclose(dots[:, 1] - dots[:, 0], [(x, y), (-z, y), (z, y), (-x, z)], atol=0.11)
+
+
+def test_truth_is_seen_beside_the_image_as_well(dataset: xr.Dataset, tmp_path: Path) -> None:
+    """Which is white, on a contact sheet that is: joints seen from the side stand before what has no depth."""
+    frame = dataset.isel(frame=0).load()
+    skeleton = skeleton_with([str(name) for name in frame["joint"].values])
+    points = frame["joints_3d"].values + np.float32(0.05)
+    nothing = np.full((*points.shape[:2], 2), np.nan, np.float32)
+    drawn = drawing(frame, skeleton, nothing, [str(name) for name in frame["person"].values], True, points)
+    write_grid(tmp_path / "sheet.png", [drawn], 1)
+    beside = np.array(Image.open(tmp_path / "sheet.png"))[:, frame.sizes["x"] + 1 :]
+    share = [(beside == colour).all(axis=-1).mean() for colour in ((38, 40, 46), (255, 255, 255))]
+    assert share[0] > 0.8
+    assert 0.001 < share[1] < 0.1

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cabinpose.app.report.charts import line, svg
 from cabinpose.app.report.cloud_views import cloud_views
 from cabinpose.app.report.html import Html, el, figure, picture_uri
-from cabinpose.app.view.draw import depth_image, depth_range
+from cabinpose.app.view.draw import INVALID, depth_image, depth_range
 from cabinpose.app.view.sheet import caption
 from cabinpose.core import SKELETONS, PoseBatch, Predictor, Skeleton, Visibility, images_of, skeleton_with
 from cabinpose.evaluate import ALL, EvaluationOptions, Report, frame_batch, truth_of
@@ -122,6 +122,8 @@ def drawing(
         joints = np.where(np.isfinite(true[..., :1]), frame["joints_3d"].values, np.nan)
         drawn += zip(_from_the_side(joints, points, width, height), (TRUTH, PREDICTION), strict=True)
         wide *= 2
+        dark = f"rgb{INVALID}"  # truth is white
+        parts.append(el("rect", x=width, y=0, width=width, height=height, fill=dark, stroke=dark))
     for people, colour in drawn:
         for uv in people:
             parts += [_segment(uv[a], uv[b], colour, 1.9) for a, b in skeleton.limbs if np.isfinite(uv[a] + uv[b]).all()]
