@@ -292,7 +292,10 @@ def test_a_seat_that_is_not_named_and_another_cameras_size_are_refused(tmp_path:
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_takes_with_other_images_are_refused(first: bool, tmp_path: Path, take) -> None:
+def test_takes_with_other_images_are_refused_before_one_is_aligned(
+    first: bool, tmp_path: Path, take, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cabinpose.align.dataset.align_take", lambda *_, **__: pytest.fail("it was aligned"))
     Made(seconds=6, amplitude=False).write(tmp_path / "dark.mcap")
     paths = [take[0], tmp_path / "dark.mcap"]
     with pytest.raises(AlignmentError, match=r"other images.*take.mcap has depth, amplitude") as error:

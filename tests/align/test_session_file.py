@@ -69,17 +69,23 @@ def test_a_car_that_stands_in_millimetres_is_refused(tmp_path: Path) -> None:
 
 def test_no_output_replaces_what_is_read(tmp_path: Path, run: Callable[..., Any]) -> None:
     session = session_of(tmp_path / "session.yaml", SUBJECT)
-    take, known = tmp_path / "head.mcap", session.read_bytes()
-    take.write_bytes(b"a take")
+    take, later, known = tmp_path / "head.mcap", tmp_path / "head-001.mcap", session.read_bytes()
+    in_folder = tmp_path / "takes" / "head.mcap"
+    in_folder.parent.mkdir()
+    for file in (take, later, in_folder):
+        file.write_bytes(b"a take")
     for words in (
         ("calibrate", session, "--out", session),
         ("calibrate", session, "--out", take),
+        ("calibrate", session, "--out", later),
         ("align", take, "--calibration", session, "--out", tmp_path / "dataset", "--report", session),
         ("align", take, "--calibration", session, "--out", tmp_path / "dataset", "--report", take),
+        ("align", take, "--calibration", session, "--out", tmp_path / "dataset", "--report", later),
+        ("align", in_folder.parent, "--calibration", session, "--out", tmp_path / "dataset", "--report", in_folder),
     ):
         done = run(*words, "--overwrite")
         assert (done.code, "is what is read, and would be lost" in done.err) == (2, True), done.err
-    assert (session.read_bytes(), take.read_bytes()) == (known, b"a take")
+    assert (session.read_bytes(), *(file.read_bytes() for file in (take, later, in_folder))) == (known, *3 * (b"a take",))
 
 
 def test_a_folder_that_is_not_there_is_told_before_the_work(tmp_path: Path, run: Callable[..., Any]) -> None:

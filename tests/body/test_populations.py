@@ -251,6 +251,9 @@ def test_share_and_correlation_count_in_either_row(tmp_path: Path) -> None:
     path.write_text(OF_BOTH.replace("40,65,0.7,mass", "40,65,0.8,mass"))
     with pytest.raises(ConfigError, match="40 to 65 years have two values of share"):
         read_population("ours", path)
+    path.write_text(OF_BOTH.replace("6.5,\n", "6.5,0.5\n"))
+    with pytest.raises(ConfigError, match="40 to 65 years have two values of r_with_stature"):
+        read_population("ours", path)
 
 
 CURVE = """sex,years,measure,unit,L,M,S

@@ -116,15 +116,18 @@ def test_recordings_become_configurations(walls: list[Path], sensor: Path, tmp_p
 
 
 def test_a_preset_keeps_what_is_of_no_other_lens(walls: list[Path], tmp_path: Path, run: Run) -> None:
-    """Its image circle is that of its own lens, and its filter has been at work before the walls were recorded."""
+    """Its image circle is that of its own lens, and its filters have been at work before the walls were recorded."""
     preset = tmp_path / "preset.yaml"
-    preset.write_text("camera: {sensor: {preset: pico_monstar_105, spatial_filter: mean}}\n")
+    sequence = "scene: {sequence: {frames: 5, rate_hz: 25}}"  # a median over time asks for one
+    preset.write_text(f"camera: {{sensor: {{preset: pico_monstar_105, spatial_filter: mean, temporal_median: 3}}}}\n{sequence}\n")
     done = run("calibrate-noise", *walls, "--sensor", preset, "--dark", "--out", tmp_path / "noise")
     assert done.code == 0, done.err
     for kind in ("empirical", "physical"):
         sensor = SynthConfig.load(tmp_path / "noise" / f"{kind}.yaml").camera.sensor_model
         assert (sensor.camera.width, sensor.field_radius_px, sensor.spatial_filter) == (96, None, "none")
+        assert sensor.temporal_median == 1
     assert "spatial_filter of --sensor is left out" in done.err
+    assert "temporal_median of --sensor is left out" in done.err
 
 
 def test_synth_generates_with_what_was_fitted(walls: list[Path], sensor: Path, tmp_path: Path, run: Run) -> None:

@@ -152,6 +152,7 @@ def test_a_sensor_that_two_people_wear_is_nobodys(run: Callable[..., Any], tmp_p
     take = moving_body.write_take(tmp_path / "two.mcap", streams)
     done = run("evaluate-mocap", "sse", f"yaw={take}")
     assert (done.code, "S01 and S02 have a sensor" in done.err) == (2, True), done.err
+    assert "of two in one source, give a recording or an MVNX file of one alone" in done.err  # where --source does not help
     assert "stands still 1 times" in run("evaluate-mocap", "sse", f"yaw={take}", "--source", "suit2").err
 
 
@@ -168,6 +169,9 @@ def test_a_sensor_that_two_people_wear_is_nobodys(run: Callable[..., Any], tmp_p
         (["dfe", "{planes}", "--rate", "1e9", "--delay-ms", "40"], "no system gives 1e+09 samples a second"),
         (["sfe"], "nothing to evaluate"),
         (["sfe", "{drive}", "--first", "0", "1"], "one of the two poses has no time"),
+        (["sfe", "nowhere.bvh", "--first", "0", "1"], "one of the two poses has no time"),  # before a take is read
+        (["sfe", "nowhere.bvh", "--first", "0", "1", "--last", "10", "11", "--any-pose"], "--any-pose looks for poses"),
+        (["sfe", "nowhere.bvh", "--fit", "body", "--pelvis", "Hips"], "--pelvis is not heeded"),
         (["sfe", "{drive}", "--first", "0", "1", "--last", "10", "11", "--any-pose"], "--any-pose looks for poses"),
         (["sfe", "{drive}", "--fit", "body", "--pelvis", "Hips"], "--pelvis is not heeded"),
         (["sfe", "{drive}", "--subject", "S02"], "no SegmentPoses of 'S02'"),

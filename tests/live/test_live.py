@@ -308,6 +308,17 @@ def test_a_camera_that_does_not_count_is_counted() -> None:
     assert all(frame.batch["frame"].tolist() == [frame.number] for frame in frames)
 
 
+def test_a_recording_played_as_a_camera_is_numbered_as_predict_does(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    with RecordingWriter(path) as writer:
+        for n in range(20):
+            writer.write("camera", Sample(2 * n + 7, 10**18 + n * 10_000_000, None, b"", (image(n),)))
+    frames = seen_by(Live(open_feed(str(path), realtime=True), [Model(seconds=0.025)]), lambda: False)
+    depths = [round(float(frame.batch["depth"][0, 0, 0]) * 1e4) - 1 for frame in frames]  # that of frame n is n + 1 steps
+    assert [frame.number for frame in frames] == depths
+    assert len(depths) < 20  # some were left out
+
+
 def test_a_number_that_comes_twice_stands_once_in_the_predictions() -> None:
     camera = Camera(4, 0.0)
     counted, camera.read = camera.read, lambda wait: [replace(each, sequence=7) for each in counted(wait)]  # type: ignore[method-assign]

@@ -157,8 +157,12 @@ def test_a_file_that_was_cut_at_its_start_keeps_none_of_the_others(content: byte
     with pytest.warns(UserWarning, match=r"else\.mcap is no recording"):
         assert files_of_take(tmp_path) == files[:-1]
     files[1].write_bytes(content)
-    with pytest.warns(UserWarning, match="it is left out"), pytest.raises(RecordingError, match=r"take-001\.mcap is missing"):
+    unread = r"take-001\.mcap cannot be read \(.*is no recording"
+    with pytest.warns(UserWarning, match="it is left out"), pytest.raises(RecordingError, match=unread) as raised:
         files_of_take(files[0])
+    assert "a copy that can be read" in str(raised.value.hint)
+    with pytest.warns(UserWarning, match="it is left out"), pytest.warns(UserWarning, match=unread):
+        assert files_of_take(files[0], damaged="skip") == [files[0], *files[2:-1]]
 
 
 def test_files_that_only_look_like_parts_are_not_taken(tmp_path: Path) -> None:

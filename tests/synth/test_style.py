@@ -15,6 +15,7 @@ from synth_scenes import fingerprint, small_config
 from cabinpose.core.errors import ConfigError, ModelError
 from cabinpose.scene.labels import LABEL_ID
 from cabinpose.store import open_dataset, points_m
+from cabinpose.synth.config import SynthConfig
 from cabinpose.synth.generate import GenerationReport, generate
 from cabinpose.synth.style.encoder import STYLE, VGG_WIDTHS, Encoder, StyleLoss, encoder_of, gram, own_encoder, shown, vgg19
 from cabinpose.synth.style.fit import StyleReport, fit_style, noise_of
@@ -350,6 +351,16 @@ def test_what_is_of_an_optimisation_is_refused_beside_a_model(key: str, value: o
     with pytest.raises(ConfigError, match=f"style.{key} says nothing of a model") as caught:
         Style.model_validate({"by": "camera.onnx", key: value})
     assert caught.value.hint
+
+
+def test_a_model_over_a_file_that_optimises_is_told_how(tmp_path: Path) -> None:
+    """Settings of the command line replace single keys of the file; the hint is what replaces them all."""
+    file = tmp_path / "scene.yaml"
+    file.write_text("style: {by: camera.npz, steps: 20}\n")
+    with pytest.raises(ConfigError, match=r"style\.steps says nothing of a model") as caught:
+        SynthConfig.load(file, ["style.by=/camera.onnx"])
+    assert "'style={by: /camera.onnx}'" in str(caught.value.hint)
+    assert SynthConfig.load(file, ["style={by: /camera.onnx}"]).style == Style(by="/camera.onnx")
 
 
 def test_a_seed_that_is_none_is_refused_before_training(plain: Path, style: Path, tmp_path: Path) -> None:

@@ -167,6 +167,7 @@ def align_takes(
     """
     takes, warnings = [], []
     _refuse_twice(paths)
+    images = _images(paths, calibration)  # before the first take is aligned, which takes minutes
     for sequence, path in enumerate(paths):
         with Recording(path) as recording:
             codes = [subject] if subject else list(recording.take.codes)
@@ -199,7 +200,7 @@ def align_takes(
         generator="cabinpose.align", generator_version=__version__, seed=0, licence=licence, width=lens.width, height=lens.height,
         frames=sum(int(each.kept.sum()) for each in takes), persons=persons,
         variables=(
-            *_images(paths, calibration), "head_residual", *(("joint_shift",) if corrections.depth else ()),
+            *images, "head_residual", *(("joint_shift",) if corrections.depth else ()),
             *(("drive_side",) if any(each.drive_side for each in takes) else ()),
         ),
         config={
@@ -346,7 +347,9 @@ def _images(paths: Sequence[Path], calibration: Calibration) -> tuple[str, ...]:
     found: dict[tuple[str, ...], Path] = {}
     for path in paths:
         with Recording(path) as recording:
-            _, first = next(tof_frames(recording, calibration.names.tof))
+            _, first = next(tof_frames(recording, calibration.names.tof), (None, None))
+        if first is None:  # which `align_take` says
+            continue
         found.setdefault(("depth", *(name for name in FRAME_IMAGES if getattr(first, name).size)), path)
     if len(found) > 1:
         told = "; ".join(f"{path} has {', '.join(images)}" for images, path in found.items())
@@ -354,7 +357,7 @@ def _images(paths: Sequence[Path], calibration: Calibration) -> tuple[str, ...]:
             f"the camera gives other images in other takes: {told}",
             hint="frames of a dataset have the same: align them apart",
         )
-    return next(iter(found))
+    return next(iter(found), ())
 
 
 def _check_size(path: Path, image: ToFFrame, calibration: Calibration) -> None:

@@ -200,9 +200,21 @@ def recording_name(flag: str, out: Path) -> None:
 
 
 def refuse_inputs(flag: str, out: Path | None, *inputs: Path) -> None:
-    """ConfigError where a file to write is one that the command reads, which it would replace."""
-    if out is not None and out.exists() and any(each.exists() and out.samefile(each) for each in inputs):
+    """ConfigError where a file to write is one that the command reads, which it would replace; of a take, any of its files."""
+    read = (file for path in inputs for file in _files_of(path) if file.exists())
+    if out is not None and out.exists() and any(out.samefile(file) for file in read):
         raise ConfigError(f"{out} is what is read, and would be lost", hint=f"give another file with {flag}")
+
+
+def _files_of(path: Path) -> Iterator[Path]:
+    """A file that a command reads; of a recording with what goes on from it, of a folder with the recordings in it."""
+    yield path
+    if path.is_dir():
+        yield from path.glob("*.mcap")
+    elif path.suffix == ".mcap":
+        from cabinpose.store.recording import parts_beside
+
+        yield from parts_beside(path).values()
 
 
 @contextmanager

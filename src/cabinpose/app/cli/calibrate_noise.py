@@ -84,9 +84,11 @@ def run(command: CalibrateNoise) -> None:
     walls.sort(key=lambda wall: wall.distance_m)
     check_distances(walls)
     _check_one_camera(walls)
-    empirical, physical, filtered = fit_empirical(walls), None, False
+    empirical, physical, filters = fit_empirical(walls), None, []
     if sensor is not None:
-        filtered, sensor = sensor.spatial_filter != "none", _as_recorded(sensor, walls[0].camera)
+        bare = sensor.unfiltered()
+        filters = [name for name, value in sensor if value != getattr(bare, name)]
+        sensor = _as_recorded(bare, walls[0].camera)
         if sensor.principle == "time_of_flight":
             physical = fit_physical(walls, sensor, reflectance=command.reflectance, dark=command.dark)
             sensor = physical.sensor
@@ -100,8 +102,8 @@ def run(command: CalibrateNoise) -> None:
     print_rows((name, _told(e)) for name, e in {**empirical.parameters, **(physical.parameters if physical else {})}.items())
     if physical is None:
         print("without a ToF camera's --sensor the figures of its pixels are not fitted", file=sys.stderr)
-    if filtered:
-        print("spatial_filter of --sensor is left out: the walls have been through it", file=sys.stderr)
+    for name in filters:
+        print(f"{name} of --sensor is left out: the walls have been through it", file=sys.stderr)
     best = command.out / ("empirical.yaml" if physical is None else "physical.yaml")
     print(f"generate with it: cabinpose synth --config {best} --frames 10 --out DATASET", file=sys.stderr)
 
@@ -126,8 +128,8 @@ def _sensor(name: str) -> Sensor:
 
 
 def _as_recorded(sensor: Sensor, camera: Camera) -> Sensor:
-    """A sensor with the lens of the walls, without what belongs to another lens or is in their noise already."""
-    lens: dict[str, Any] = {"camera": camera, "spatial_filter": "none"}
+    """A sensor with the lens of the walls, without what belongs to another lens."""
+    lens: dict[str, Any] = {"camera": camera}
     if (camera.width, camera.height) != (sensor.camera.width, sensor.camera.height):
         lens["field_radius_px"] = None
     return sensor.model_copy(update=lens)

@@ -179,6 +179,12 @@ def _sfe(command: EvaluateSfe) -> Outcome:
     from cabinpose.app.mocap.inputs import body_source, labelled, read_motion
     from cabinpose.evaluate.mocap import bone_lengths, mvn_bones, rigid_pairs, sfe
 
+    if (command.first is None) != (command.last is None):
+        raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
+    if command.first is not None:
+        refuse({"--any-pose": command.any_pose}, "{} looks for poses, and --first and --last say when they are")
+    if command.fit == "body":
+        refuse({"--pelvis": command.pelvis != "Pelvis"}, "{} is not heeded where --fit body lays all points on each other")
     runs: list[SfeRun] = []
     bones: dict[str, tuple[Bone, ...]] = {}
     for label, path in labelled(command.takes):
@@ -198,12 +204,6 @@ def _sfe(command: EvaluateSfe) -> Outcome:
 def _sfe_run(command: EvaluateSfe, motion: PointTracks, condition: str) -> SfeRun:
     from cabinpose.evaluate.mocap import Window, find_poses, sfe_run
 
-    if (command.first is None) != (command.last is None):
-        raise ConfigError("one of the two poses has no time", hint="give --first and --last, or neither")
-    if command.first is not None:
-        refuse({"--any-pose": command.any_pose}, "{} looks for poses, and --first and --last say when they are")
-    if command.fit == "body":
-        refuse({"--pelvis": command.pelvis != "Pelvis"}, "{} is not heeded where --fit body lays all points on each other")
     if command.first is not None and command.last is not None:
         poses = Window("first", *command.first), Window("last", *command.last)
     else:

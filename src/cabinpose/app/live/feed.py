@@ -14,6 +14,7 @@ import numpy as np
 from cabinpose.core import FrameBatch, RecordingError, SourceEndedError
 from cabinpose.evaluate import frame_batch
 from cabinpose.record import Lane, Recorder, Rig, start_recorder
+from cabinpose.record.sources import SOURCES
 from cabinpose.signals import SETUP, Counts, Facts, FrameSource, HostClock, Sample, ToFFrame
 from cabinpose.store import image_names, open_dataset
 
@@ -145,7 +146,9 @@ class LatestFrame(Feed):
         (plan,) = rig.sources
         self.name = plan.name
         self.clock, self._wake = HostClock(), threading.Event()
-        self._source = _Tap(plan.build(self.clock))
+        source = plan.build(self.clock)
+        self._recorded = isinstance(source, SOURCES["replay"])  # whose cameras may have counted from anywhere
+        self._source = _Tap(source)
         self.drive_side = rig.take.drive_side or ""
         self._lane = Lane(self._source, plan.kind, self.clock, self._wake)
         self._recorder: Recorder | None = None
@@ -171,7 +174,8 @@ class LatestFrame(Feed):
             frame = None
             if newest is not None:
                 before, sample = newest
-                frame = live_frame(sample, before if sample.sequence is None else sample.sequence, self.drive_side)
+                number = before if self._recorded or sample.sequence is None else sample.sequence
+                frame = live_frame(sample, number, self.drive_side)
             if self._recorder is None:
                 self._lane.take(1 << 62)  # nobody else empties its queue
             if frame is None and ended:

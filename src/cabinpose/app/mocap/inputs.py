@@ -102,7 +102,8 @@ def read_orientations(path: Path, name: str | None, *, source: str | None = None
     found = [(ns, m) for ns, m in rows if isinstance(m, SensorReadings) and name in m.names]
     if len(worn := dict.fromkeys(m.subject for _, m in found)) > 1:
         raise RecordingError(
-            f"{path}: {' and '.join(worn)} have a sensor {name!r} each", hint="say by --source whose, or record one of them"
+            f"{path}: {' and '.join(worn)} have a sensor {name!r} each",
+            hint="name the source of one with --source; of two in one source, give a recording or an MVNX file of one alone",
         )
     kept = [(ns, m.orientation_wxyz[m.names.index(name)]) for ns, m in found]
     time_ns, rising = np.unique(np.array([ns for ns, _ in kept], np.int64), return_index=True)

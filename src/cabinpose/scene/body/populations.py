@@ -335,7 +335,8 @@ def read_population(name: str, path: Path | Traversable) -> Population:
             )
         stature, mass = measures["stature"], measures["mass"]
         whose = f"population {path}: {sex} people of {start:g} to {end:g} years"
-        told = {name: {v for m in measures.values() if (v := getattr(m, name)) is not None} for name in ("share", "r")}
+        names = "share", "r_with_stature"
+        told = {name: {v for m in measures.values() if (v := getattr(m, name)) is not None} for name in names}
         if several := [name for name, values in told.items() if len(values) > 1]:
             raise ConfigError(f"{whose} have two values of {several[0]}", hint="give it once, or the same in both rows")
         middle = stature.values[_MEDIAN], mass.values[_MEDIAN]
@@ -344,7 +345,7 @@ def read_population(name: str, path: Path | Traversable) -> Population:
                 f"{whose} are {middle[0]:.3g} m tall and weigh {middle[1]:.3g} kg in the median",
                 hint="stature is in m, cm or mm, mass in kg or lb, as `unit` says",
             )
-        r = told["r"].pop() if told["r"] else float(proportions().correlation[cast("Sex", sex)][0, 1])
+        r = told["r_with_stature"].pop() if told["r_with_stature"] else float(proportions().correlation[cast("Sex", sex)][0, 1])
         share = told["share"].pop() if told["share"] else 1.0
         bands.append(_Band(cast("Sex", sex), (start, end), share, stature.values, mass.values, r))
     if not bands or not sum(band.share for band in bands) > 0.0:
@@ -372,7 +373,7 @@ class _Row(NamedTuple):
     measure: str
     share: float | None
     values: Floats
-    r: float | None
+    r_with_stature: float | None
 
 
 def _row(row: Mapping[str, str | None], *, is_curve: bool) -> _Row:

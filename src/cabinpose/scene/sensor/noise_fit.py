@@ -196,7 +196,7 @@ def fit_physical(walls: Sequence[Wall], sensor: Sensor, *, reflectance: float = 
     parameters = _with_intervals(figures, at, covariance)
     values = {name: found.value for name, found in parameters.items()}
     fields = {name: float(f"{value:.6g}") for name, value in values.items() if name in Sensor.model_fields}
-    fitted = Sensor.model_validate(sensor.model_dump() | fields | {"spatial_filter": "none"})
+    fitted = Sensor.model_validate(sensor.unfiltered().model_dump() | fields)
     noise = PhysicalNoise() if dark else PhysicalNoise(ambient=float(f"{values['ambient']:.6g}"))
 
     def sigma(x: F64, vignetting: F64) -> F64:

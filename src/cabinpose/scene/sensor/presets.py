@@ -133,6 +133,10 @@ class Sensor(BaseModel):
                     hint=f"choose two that differ and are in a ratio of integers up to {_LARGEST_RATIO}, such as 80e6 and 60e6",
                 )
 
+    def unfiltered(self) -> Sensor:
+        """The sensor without its filters, which are in all that it recorded."""
+        return self.model_copy(update={"spatial_filter": "none", "temporal_median": 1})
+
     @property
     def assumed(self) -> Mapping[str, Any]:
         """The fields that were not given and are in force all the same, with their values."""

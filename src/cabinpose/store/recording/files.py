@@ -63,12 +63,19 @@ def files_of_take(path: Path, *, damaged: Literal["raise", "skip"] = "raise") ->
     head = _head(first)
     if head.part != 0:
         return [first]
-    found = {part: file for part, file in sorted(parts_beside(first).items()) if _goes_on(head, part, file)}
-    missing = [part_path(first, part).name for part in range(1, max(found, default=0)) if part not in found]
-    if missing:
-        problem = f"of the take {first}, {', '.join(missing)} is missing"
+    beside = dict(sorted(parts_beside(first).items()))
+    heads = {part: _head_beside(file) for part, file in beside.items()}
+    found = {part: beside[part] for part, said in heads.items() if _goes_on(head, part, said)}
+    broken = {part: said for part, said in heads.items() if isinstance(said, RecordingError)}
+    gaps = [part for part in range(1, max(found, default=0)) if part not in found]
+    for part in broken.keys() - set(gaps):
+        _left_out(broken[part])
+    if gaps:
+        why = {part: f"cannot be read ({broken[part]})" if part in broken else "is missing" for part in gaps}
+        problem = f"of the take {first}, {', '.join(f'{part_path(first, part).name} {said}' for part, said in why.items())}"
         if damaged == "raise":
-            raise RecordingError(problem, hint="put it beside the others; without it, each file can be read by itself")
+            remedy = "put a copy that can be read in its place" if broken.keys() & set(gaps) else "put it beside the others"
+            raise RecordingError(problem, hint=f"{remedy}; without it, each file can be read by itself")
         warnings.warn(problem, stacklevel=3)
     return [first, *found.values()]
 
@@ -96,13 +103,9 @@ def _head(file: Path) -> Head:
         return read_head(scanner)
 
 
-def _goes_on(first: Head, part: int, file: Path) -> bool:
+def _goes_on(first: Head, part: int, head: Head | RecordingError) -> bool:
     """Whether a file is a part of the take that begins with `first`: not one of another take with the same name."""
-    head = _head_beside(file)
-    if isinstance(head, RecordingError):
-        _left_out(head)
-        return False
-    return (head.part, head.started_ns) == (part, first.started_ns)
+    return isinstance(head, Head) and (head.part, head.started_ns) == (part, first.started_ns)
 
 
 def _head_beside(file: Path) -> Head | RecordingError:

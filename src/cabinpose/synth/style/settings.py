@@ -38,6 +38,7 @@ class Style(Model):
         if beside and self.by.endswith(".onnx"):
             raise ConfigError(
                 f"style.{beside[0]} says nothing of a model",
-                hint=f"leave it out, or give a style frame (.npz) in place of {self.by}",
+                hint=f"leave it out, or give a style frame (.npz) as style.by in place of {self.by}; behind a configuration"
+                f" 'style={{by: {self.by}}}' takes the place of all that it says of style",
             )
         return self
