@@ -72,6 +72,17 @@ def test_conditions_hold_as_python_says(columns: dict[str, NDArray[Any]], words:
     assert 0 < held.sum() < 200
 
 
+@pytest.mark.filterwarnings("error")
+def test_no_number_is_too_large_to_compare(columns: dict[str, NDArray[Any]]) -> None:
+    """Neither for double precision nor, as errors are kept, for single."""
+    columns = columns | {"error_cm": columns["error_cm"].astype(np.float32)}
+    known = np.isfinite(columns["error_cm"])
+    for large in ("1" + 400 * "0", "1e39", "1e400"):
+        np.testing.assert_array_equal(frames_where(columns, f"error_cm < {large}"), known)
+        np.testing.assert_array_equal(frames_where(columns, f"-{large} < error_cm and frame < {large}"), known)
+        assert not frames_where(columns, f"error_cm == {large} or frame == -{large}").any()
+
+
 def test_an_edge_belongs_to_what_is_at_least_as_much(columns: dict[str, NDArray[Any]]) -> None:
     """Also in single precision, in which 1.9 is a little less than in double."""
     stature = np.array([[1.9, 1.7]] * 200, np.float32)

@@ -30,7 +30,7 @@ from cabinpose.app.studio.choice import Choice, as_dataset
 from cabinpose.app.studio.clouds import cloud_routes
 from cabinpose.app.studio.exchange import MOST_BYTES, zipped
 from cabinpose.app.studio.live_session import LiveRoom, Shown
-from cabinpose.app.studio.models import FrameErrors, frame_errors, worst_first
+from cabinpose.app.studio.models import FrameErrors, frame_errors, load_choice, worst_first
 from cabinpose.app.studio.page import TABS, shared_by, studio_page
 from cabinpose.app.studio.pictures import image_routes
 from cabinpose.app.studio.tab import Page, Tab
@@ -309,6 +309,31 @@ def test_a_model_that_proposes_nothing_here_says_so(workspace: Workspace) -> Non
     used(workspace, steps)
 
 
+def test_a_model_that_fails_late_leaves_what_was_chosen_since(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on = threading.Event()
+
+    def slowly(*given: Any) -> Any:
+        if given[1] != "gone.onnx":
+            return load_choice(*given)
+        go_on.wait(10.0)
+        raise ConfigError("gone.onnx is gone")
+
+    monkeypatch.setattr("cabinpose.app.studio.label_tab.load_choice", slowly)
+
+    async def steps(user: User) -> None:
+        user.find("Label", kind=ui.tab).click()
+        await user.should_see("frame 0, 1 of 6")
+        marked(user, "proposals").set_options({**marked(user, "proposals").options, "gone.onnx": "gone"})
+        marked(user, "proposals").set_value("gone.onnx")
+        await asyncio.sleep(0.2)
+        marked(user, "proposals").set_value("file:oracle")
+        go_on.set()
+        await user.should_see("gone.onnx is gone")
+        assert marked(user, "proposals").value == "file:oracle"
+
+    used(workspace, steps)
+
+
 def test_frame_without_the_person_is_opened_with_somebody_who_is_there(workspace: Workspace) -> None:
     assert workspace.dataset is not None
     seen = workspace.dataset["visibility"].values.copy()
@@ -345,6 +370,26 @@ def test_a_run_stands_beside_a_file_of_the_same_model(workspace: Workspace, pred
     assert [workspace.add_run(run) for _ in range(2)] == ["in_car (run here)"] * 2
     assert list(workspace.predictions) == ["oracle", "in_car", "in_car (run here)"]
     assert workspace.add_run(replace(run, model="paf")) == "paf"
+
+
+def test_a_run_is_not_of_the_dataset_that_was_opened_meanwhile(
+    workspace: Workspace, dataset_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = workspace.predictions["oracle"]
+
+    def slowly(*_: Any, **__: Any) -> Predictions:
+        workspace.open(dataset_folder)
+        return found
+
+    monkeypatch.setattr("cabinpose.app.studio.compare_tab.predict_dataset", slowly)
+
+    async def steps(user: User) -> None:
+        user.find("Compare", kind=ui.tab).click()
+        user.find("Run", kind=ui.button).click()
+        await user.should_see("another dataset was opened meanwhile")
+        assert not workspace.predictions
+
+    used(workspace, steps)
 
 
 def test_corrected_labels_count_before_the_tab_label_is_there(workspace: Workspace, dataset_folder: Path) -> None:

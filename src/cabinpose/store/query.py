@@ -13,6 +13,7 @@ from __future__ import annotations
 import ast
 import operator
 import re
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import reduce
 from typing import TYPE_CHECKING, Any, Final
@@ -72,7 +73,8 @@ def frames_where(columns: Mapping[str, NDArray[Any]], condition: str) -> NDArray
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         at = getattr(error, "offset", None) or len(condition)
         raise ConfigError(f"'{condition}' is no condition (see its character {at})", hint=_EXAMPLE) from None
-    return _by_frame(_Walk(columns, condition).holds(tree))
+    with np.errstate(over="ignore"):  # more than single precision holds is infinite there, and compares as that
+        return _by_frame(_Walk(columns, condition).holds(tree))
 
 
 def completions(columns: Mapping[str, NDArray[Any]], text: str) -> list[str]:
@@ -167,7 +169,7 @@ class _Walk:
         inner = node.operand if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd) else node
         if not isinstance(inner, ast.Constant) or isinstance(inner.value, bool) or not isinstance(inner.value, int | float):
             raise ConfigError(f"{ast.unparse(node)} is no number, in '{self._condition}'", hint=_EXAMPLE)
-        return sign * inner.value
+        return sign * (inner.value if abs(inner.value) < sys.float_info.max else np.inf)
 
     def _of(self, name: ast.expr) -> str:
         assert isinstance(name, ast.Name)

@@ -92,10 +92,14 @@ class CompareTab:
     async def _run_model(self) -> None:
         """Run a model over the dataset, as `predict` does."""
         workspace, name = self._workspace, str(self._model.value)
+        key = workspace.key
         self._run.disable()
         self._share, self._progress.visible = 0.0, True
         try:
             found = await run.io_bound(self._predict, name)
+            if workspace.key != key:
+                ui.notify("another dataset was opened meanwhile: what was found in the one before is not kept")
+                return
             if found is not None:
                 workspace.add_run(found)
         except CabinposeError as error:

@@ -231,7 +231,7 @@ class DatasetTab:
             words.append(f"{self._joint.value or 'a joint'} {_STATES[self._state.value]}")
         if self._errors is not None and (self._over.value is not None or self._worst.value is not None):
             over = "" if self._over.value is None else f" over {self._over.value:g} {self._errors.unit}"
-            worst = "" if self._worst.value is None else f", the {self._worst.value:g} worst"
+            worst = "" if self._worst.value is None else f", the {max(int(self._worst.value), 1)} worst"
             words.append(f"error of {self._predictions.value}{over}{worst}")
         return "; ".join(words)
 

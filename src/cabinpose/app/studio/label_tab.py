@@ -192,7 +192,7 @@ class LabelTab:
         elif key == "c" and not self._do(lambda: labelling.copy(self._row, self._person)):
             ui.notify("no frame before this one is labelled whole")
         elif key == "i" and not self._do(lambda: labelling.interpolate(self._row, self._person)):
-            ui.notify("interpolating needs a labelled frame before this one and one after it, of the same sequence")
+            ui.notify("interpolating needs a labelled frame before this one and one after it: same sequence, person, car and view")
         elif key == "z":
             self._undo()
         self._show_soon()
@@ -263,7 +263,8 @@ class LabelTab:
             model = await run.io_bound(load_choice, self._workspace, value)
         except CabinposeError as error:
             ui.notify(error.in_one_line(), type="negative", multi_line=True)
-            self._model.value = ""
+            if value == self._model.value:
+                self._model.value = ""
             return
         if value != self._model.value:
             return  # another one was chosen meanwhile
