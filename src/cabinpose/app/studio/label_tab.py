@@ -192,7 +192,7 @@ class LabelTab:
         elif key == "c" and not self._do(lambda: labelling.copy(self._row, self._person)):
             ui.notify("no frame before this one is labelled whole")
         elif key == "i" and not self._do(lambda: labelling.interpolate(self._row, self._person)):
-            ui.notify("interpolating needs a labelled frame before this one and one after it: same sequence, person, car and view")
+            ui.notify("interpolating needs a labelled frame before this one and one after, of one sequence, person, car and view")
         elif key == "z":
             self._undo()
         self._show_soon()
