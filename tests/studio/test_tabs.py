@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+import time
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import replace
@@ -379,6 +380,7 @@ def test_a_run_is_not_of_the_dataset_that_was_opened_meanwhile(
 
     def slowly(*_: Any, **__: Any) -> Predictions:
         workspace.open(dataset_folder)
+        time.sleep(1.5)  # the tab has been built anew
         return found
 
     monkeypatch.setattr("cabinpose.app.studio.compare_tab.predict_dataset", slowly)

@@ -287,7 +287,7 @@ def _check_labelled(sources: Sequence[SelectedFrames], method: str, where: str) 
     if recorded and METHODS[method].task == "parts":
         raise ConfigError(
             f"{where}: {recorded[0]} is recorded in the laboratory, whose suit labels no parts of bodies",
-            hint="leave its `lab` out: its frames are generated then, with labels",
+            hint="write `lab: null` beside its `synth`: its frames are generated then, with labels",
         )
 
 

@@ -18,7 +18,7 @@ from cabinpose.app.studio.models import Judged, detectors, error_words, found_in
 from cabinpose.app.studio.tab import Page, Tab, empty_state, no_dataset
 from cabinpose.app.studio.view3d import VIEW_KEYS, FramePoints, look_through, skeleton_lines, view_3d
 from cabinpose.app.studio.workspace import Workspace, depth_range
-from cabinpose.core import CabinposeError, apply
+from cabinpose.core import CabinposeError, PredictionsError, apply
 from cabinpose.evaluate import PEOPLE, EvaluationOptions, common_joints, joint_distances, predict_dataset, shared_places
 from cabinpose.store import Predictions, dataset_id, dataset_skeleton
 
@@ -92,22 +92,23 @@ class CompareTab:
     async def _run_model(self) -> None:
         """Run a model over the dataset, as `predict` does."""
         workspace, name = self._workspace, str(self._model.value)
-        key = workspace.key
+        key, client = workspace.key, ui.context.client  # the tab is built anew where another dataset is opened
         self._run.disable()
         self._share, self._progress.visible = 0.0, True
         try:
             found = await run.io_bound(self._predict, name)
             if workspace.key != key:
-                ui.notify("another dataset was opened meanwhile: what was found in the one before is not kept")
-                return
+                raise PredictionsError("another dataset was opened meanwhile", hint="what was found in the one before is not kept")
             if found is not None:
                 workspace.add_run(found)
         except CabinposeError as error:
-            ui.notify(error.in_one_line(), type="negative", multi_line=True)
+            with client:
+                ui.notify(error.in_one_line(), type="negative", multi_line=True)
         finally:
             self._run.enable()
             self._progress.visible = False
-        self._refresh()
+        if workspace.key == key:
+            self._refresh()
 
     def _predict(self, name: str) -> Predictions:
         workspace = self._workspace

@@ -68,7 +68,7 @@ def files_of_take(path: Path, *, damaged: Literal["raise", "skip"] = "raise") ->
     found = {part: beside[part] for part, said in heads.items() if _goes_on(head, part, said)}
     broken = {part: said for part, said in heads.items() if isinstance(said, RecordingError)}
     gaps = [part for part in range(1, max(found, default=0)) if part not in found]
-    for part in broken.keys() - set(gaps):
+    for part in sorted(broken.keys() - set(gaps)):
         _left_out(broken[part])
     if gaps:
         why = {part: f"cannot be read ({broken[part]})" if part in broken else "is missing" for part in gaps}
@@ -117,7 +117,7 @@ def _head_beside(file: Path) -> Head | RecordingError:
 
 
 def _left_out(error: RecordingError) -> None:
-    warnings.warn(f"{error}; it is left out", stacklevel=4)
+    warnings.warn(f"{error}; it is left out", stacklevel=3)
 
 
 def read_head(scanner: Scanner) -> Head:
