@@ -35,7 +35,7 @@ STRUCTURE = {
     "modules under 25 lines of code, with C++": 64,
     "import circles": 0,
     "names of classes that stand twice": 35,
-    "lines of code in src and benchmarks": 75_315,
+    "lines of code in src and benchmarks": 75_310,
 }
 # Rooms whose results are the same bits on every processor, and what in them is no part of a dataset, with the reason.
 SAME_BITS = ("core", "scene", "synth")

@@ -98,7 +98,7 @@ class CompareTab:
         try:
             found = await run.io_bound(self._predict, name)
             if workspace.key != key:
-                raise PredictionsError("another dataset was opened meanwhile", hint="what was found in the one before is not kept")
+                raise PredictionsError("another dataset was opened meanwhile", hint="what was found in the other is not kept")
             if found is not None:
                 workspace.add_run(found)
         except CabinposeError as error:
