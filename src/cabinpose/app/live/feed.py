@@ -14,7 +14,6 @@ import numpy as np
 from cabinpose.core import FrameBatch, RecordingError, SourceEndedError
 from cabinpose.evaluate import frame_batch
 from cabinpose.record import Lane, Recorder, Rig, start_recorder
-from cabinpose.record.sources import SOURCES
 from cabinpose.signals import SETUP, Counts, Facts, FrameSource, HostClock, Sample, ToFFrame
 from cabinpose.store import image_names, open_dataset
 
@@ -146,9 +145,8 @@ class LatestFrame(Feed):
         (plan,) = rig.sources
         self.name = plan.name
         self.clock, self._wake = HostClock(), threading.Event()
-        source = plan.build(self.clock)
-        self._recorded = isinstance(source, SOURCES["replay"])  # whose cameras may have counted from anywhere
-        self._source = _Tap(source)
+        self._recorded = plan.kind == "replay"  # whose cameras may have counted from anywhere
+        self._source = _Tap(plan.build(self.clock))
         self.drive_side = rig.take.drive_side or ""
         self._lane = Lane(self._source, plan.kind, self.clock, self._wake)
         self._recorder: Recorder | None = None
